@@ -133,7 +133,7 @@ const char* address_help(const FindServer& find) {
               : "[tcp://|tls://|ws://|wss://]HOST[:PORT]; without a port 7450, or 7480 for ws and wss";
 }
 
-void add_stream(CLI::App& app, int& exit_code, const FindServer& find) {
+void add_stream(CLI::App& app, int& exit_code, const ReadMotion& read, const FindServer& find) {
   auto command = std::make_shared<StreamCommand>();
   CLI::App* sub = app.add_subcommand("stream", "Play a motion against a running server, at its own rate");
   sub->add_option("poses", command->poses, "A motion (TUM or CSV) or a capture")->required();
@@ -156,9 +156,9 @@ void add_stream(CLI::App& app, int& exit_code, const FindServer& find) {
                 "First reset the body to the mesh as loaded, for everybody (the token's role is admin, too)");
   sub->add_flag("--json", command->json, "Print the summary as JSON");
   add_server_options(*sub, command->server);
-  sub->callback([command, find, &exit_code] {
+  sub->callback([command, read, find, &exit_code] {
     if (find) command->server.address = find(command->server.address, false);
-    exit_code = run_stream(*command);
+    exit_code = run_stream(*command, read(*command));
   });
 }
 
@@ -189,8 +189,8 @@ void add_watch(CLI::App& app, int& exit_code, const FindServer& find) {
 
 }  // namespace
 
-void add_network_commands(CLI::App& app, int& exit_code, const FindServer& find) {
-  add_stream(app, exit_code, find);
+void add_network_commands(CLI::App& app, int& exit_code, const ReadMotion& read, const FindServer& find) {
+  add_stream(app, exit_code, read, find);
   add_watch(app, exit_code, find);
 }
 

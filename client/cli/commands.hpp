@@ -10,6 +10,7 @@
 
 #include "client/client.hpp"
 #include "protocol/blade_name.hpp"
+#include "protocol/motion.hpp"
 
 namespace CLI {
 class App;
@@ -51,8 +52,8 @@ struct StreamCommand {
   bool reset = false;   // before the first pose
   bool json = false;
 };
-// Plays a motion against a server; waits until the server has dealt with every pose. 0: it has.
-int run_stream(const StreamCommand& command);
+// Plays the motion against a server; waits until the server has dealt with every pose. 0: it has.
+int run_stream(const StreamCommand& command, protocol::Motion motion);
 
 struct WatchCommand {
   ServerOptions server;
@@ -70,8 +71,11 @@ int run_watch(const WatchCommand& command);
 
 // Makes what --to and SERVER name into an address; `to_watch`: no blade is wanted there.
 using FindServer = std::function<std::string(const std::string& named, bool to_watch)>;
+// Reads the motion that a command names, and warns. It is the program's, which knows what of a capture counts.
+using ReadMotion = std::function<protocol::Motion(const StreamCommand&)>;
 // Adds the commands to `incise`; the one that runs sets the program's exit code. `find`: a program that knows directories looks there.
-void add_network_commands(CLI::App& app, int& exit_code, const FindServer& find = nullptr);
+void add_network_commands(CLI::App& app, int& exit_code, const ReadMotion& read,
+                          const FindServer& find = nullptr);
 
 // Client::connect, and where nobody listens there, what to do about it. Throws ConnectError.
 std::unique_ptr<Client> connect(const Address& where, const Options& options, Callbacks callbacks);

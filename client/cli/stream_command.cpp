@@ -4,8 +4,6 @@
 #include <chrono>
 #include <cinttypes>
 #include <cstdio>
-#include <istream>
-#include <map>
 #include <memory>
 #include <mutex>
 #include <nlohmann/json.hpp>
@@ -16,9 +14,6 @@
 #include <utility>
 
 #include "client/cli/commands.hpp"
-#include "client/cli/usage.hpp"
-#include "protocol/capture.hpp"
-#include "protocol/motion.hpp"
 
 namespace incise::client {
 namespace {
@@ -34,101 +29,15 @@ void warn(const std::string& text) {
   std::fprintf(stderr, "warning: %s\n", text.c_str());
 }
 
-protocol::Times times_of(const StreamCommand& command) {
-  return command.strict ? protocol::Times::kRefuse : protocol::Times::kSkip;
-}
-
 // "1 pose", "2 poses"
 std::string counted(std::uint64_t n, const char* what) {
   return std::to_string(n) + " " + what + (n == 1 ? "" : "s");
 }
 
-using PosesOfSources = std::map<std::uint32_t, std::uint64_t>;
-
-// "source 1 (200 poses), source 2 (1 pose)"
-std::string listed(const PosesOfSources& sources) {
-  std::string text;
-  for (const auto& [source, poses] : sources) {
-    text += (text.empty() ? "source " : ", source ") + std::to_string(source) + " (" +
-            counted(poses, "pose") + ")";
-  }
-  return text;
-}
-
-// What is not sent is named, unless the user has chosen.
-void check_sources(const StreamCommand& command, std::optional<std::uint32_t> sent, PosesOfSources sources) {
-  if (sources.empty()) return;
-  const std::string name = command.poses.string();
-  if (command.from_source && !sources.contains(*command.from_source)) {
-    throw std::runtime_error("--from-source: found " + std::to_string(*command.from_source) + "; " + name +
-                             " has poses of " + listed(sources));
-  }
-  if (command.from_source || sources.size() == 1) return;
-  sources.erase(*sent);
-  warn(name + ": sends the poses of source " + std::to_string(*sent) + ", not those of " + listed(sources) +
-       "; --from-source N sends those of source N");
-}
-
-// Whether the blade of a source has another holder from here on, whose clock may have another origin.
-bool begins_clock(const protocol::CaptureRecord& record, std::optional<std::uint32_t> source) {
-  if (const auto* blade = std::get_if<protocol::BladeRecord>(&record)) return blade->source == source;
-  const auto* stroke = std::get_if<protocol::StrokeRecord>(&record);
-  return stroke != nullptr && stroke->source == source && stroke->action == protocol::StrokeAction::HandOver;
-}
-
-// The poses of one source of a capture: the one that was asked for, else the first that has some.
-protocol::Motion read_capture_poses(protocol::CaptureReader& capture, const StreamCommand& command) {
-  protocol::RisingSamples samples(command.poses.string(), times_of(command));
-  protocol::CaptureRecord record;
-  std::optional<std::uint32_t> source = command.from_source;
-  PosesOfSources sources;
-  using Status = protocol::CaptureReader::Status;
-  Status status = Status::Record;
-  while ((status = capture.next(record)) == Status::Record) {
-    if (begins_clock(record, source)) samples.begin_clock();
-    const auto* pose = std::get_if<protocol::PoseRecord>(&record);
-    if (!pose) continue;
-    ++sources[pose->source];
-    if (!source) source = pose->source;
-    if (pose->source == *source) samples.add(pose->pose);
-  }
-  if (status != Status::End)
-    warn(command.poses.string() + ": " + capture.error() + "; the poses before that are sent");
-  check_sources(command, source, std::move(sources));
-  protocol::Motion motion;
-  motion.has_buttons = true;
-  samples.finish(motion);
-  return motion;
-}
-
-struct RecordedPoses {
-  std::vector<PoseSample> poses;
-  std::vector<std::size_t> restarts;  // poses that begin a new stroke, because the clock restarted
-  bool has_buttons = true;
-};
-
-RecordedPoses read_poses(const StreamCommand& command) {
-  const std::string name = command.poses.string();
-  const std::unique_ptr<std::istream> in = protocol::open_motion(name);
-  protocol::CaptureReader capture(*in);
-  if (!capture.header_ok() && command.from_source)
-    throw UsageError("--from-source: " + name + " is no capture; its poses have one source");
-  const auto read_text = [&] {
-    in->clear();
-    in->seekg(0);
-    return protocol::read_motion(*in, name, times_of(command));
-  };
-  protocol::Motion motion = capture.header_ok() ? read_capture_poses(capture, command) : read_text();
-  if (!motion.warning.empty()) warn(motion.warning);
-  RecordedPoses recorded{std::move(motion.samples), std::move(motion.restarts), motion.has_buttons};
-  if (recorded.poses.empty()) throw std::runtime_error(name + ": there is no pose in it");
-  return recorded;
-}
-
 // In a motion without buttons the one that engages is held, or nothing would be cut.
-std::vector<PoseSample> engaged(const RecordedPoses& recorded, int engage_button) {
-  std::vector<PoseSample> poses = recorded.poses;
-  if (!recorded.has_buttons && engage_button >= 0) {
+std::vector<PoseSample> engaged(const protocol::Motion& motion, int engage_button) {
+  std::vector<PoseSample> poses = motion.samples;
+  if (!motion.has_buttons && engage_button >= 0) {
     for (PoseSample& pose : poses) pose.buttons |= 1u << engage_button;
   }
   return poses;
@@ -142,11 +51,11 @@ struct Seen {
 
 class Player {
  public:
-  Player(const StreamCommand& command, Client& client, RecordedPoses recorded, const Seen& seen)
+  Player(const StreamCommand& command, Client& client, protocol::Motion motion, const Seen& seen)
       : command_(command),
         client_(client),
-        poses_(engaged(recorded, client.welcome().engage_button)),
-        restarts_(std::move(recorded.restarts)),
+        poses_(engaged(motion, client.welcome().engage_button)),
+        restarts_(std::move(motion.restarts)),
         welcome_(client.welcome()),
         seen_(seen) {}
 
@@ -342,7 +251,7 @@ std::unique_ptr<Client> connect_operator(const Address& where, const Options& op
 
 }  // namespace
 
-int run_stream(const StreamCommand& command) {
+int run_stream(const StreamCommand& command, protocol::Motion motion) {
   Address where;
   Options options = command.server.options(where);
   options.role = protocol::Role::Operator;
@@ -352,7 +261,6 @@ int run_stream(const StreamCommand& command) {
   options.source_name = command.source_name;
   options.take_over = command.take_over;
   if (!command.blade.empty()) options.blade = protocol::parse_blade("--blade", command.blade);
-  RecordedPoses recorded = read_poses(command);  // before anything that others see
   if (command.reset) reset_body(where, options);
   interrupted();  // from here on Ctrl-C ends the playing, not the program
   Callbacks callbacks;
@@ -373,7 +281,7 @@ int run_stream(const StreamCommand& command) {
     }
   };
   const auto client = connect_operator(where, options, std::move(callbacks));
-  return Player(command, *client, std::move(recorded), seen).run();
+  return Player(command, *client, std::move(motion), seen).run();
 }
 
 }  // namespace incise::client

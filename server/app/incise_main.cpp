@@ -19,6 +19,7 @@
 #include "server/base/standard_output.hpp"
 #if INCISE_NETWORK_COMMANDS
 #include "client/cli/commands.hpp"
+#include "server/app/offline/streamed_motion.hpp"
 #endif
 
 namespace {
@@ -106,7 +107,8 @@ int run(int argc, char** argv) {
   int exit_code = incise::client::kSuccess;
   incise::app::add_offline_commands(app, exit_code);
 #if INCISE_NETWORK_COMMANDS
-  incise::client::add_network_commands(app, exit_code, incise::app::find_session);
+  incise::client::add_network_commands(app, exit_code, incise::app::read_streamed_motion,
+                                       incise::app::find_session);
   incise::app::add_cluster_commands(app, exit_code);
 #endif
   add_help(app);

@@ -17,6 +17,7 @@
 #include "client/cli/usage.hpp"
 #include "protocol/capture.hpp"
 #include "protocol/motion.hpp"
+#include "server/app/offline/streamed_motion.hpp"
 #include "server/base/clock.hpp"
 #include "tests/client/recorded_session.hpp"
 #include "tests/stream/mini_loop.hpp"
@@ -26,6 +27,11 @@ namespace {
 
 namespace fs = std::filesystem;
 using stream::TestServer;
+
+// As the program plays it.
+int stream(const StreamCommand& command) {
+  return run_stream(command, app::read_streamed_motion(command));
+}
 
 TEST(ParseAddress, TakesTransportHostAndPort) {
   const auto check = [](const std::string& text, const std::string& host, int port, TransportKind kind,
@@ -102,7 +108,7 @@ class CommandsTest : public ::testing::Test {
 TEST_F(CommandsTest, StreamPlaysAMotionAndSumsUp) {
   StreamCommand command = stream_of("motion.csv", 4);
   ::testing::internal::CaptureStdout();
-  EXPECT_EQ(run_stream(command), 0);
+  EXPECT_EQ(stream(command), 0);
   const auto summary = nlohmann::json::parse(::testing::internal::GetCapturedStdout());
   EXPECT_EQ(summary["poses_sent"], 200);
   EXPECT_EQ(summary["accepted"], 200);
@@ -128,7 +134,7 @@ TEST_F(CommandsTest, StreamWarnsWhereItsPosesAreNotRecorded) {
     command.server.address = "127.0.0.1:" + std::to_string(server.server.tcp_port());
     ::testing::internal::CaptureStdout();
     ::testing::internal::CaptureStderr();
-    EXPECT_EQ(run_stream(command), 0);
+    EXPECT_EQ(stream(command), 0);
     told = ::testing::internal::GetCapturedStderr();
     return nlohmann::json::parse(::testing::internal::GetCapturedStdout());
   };
@@ -154,7 +160,7 @@ TEST_F(CommandsTest, WatchersOfBothTransportsSaveTheSameBytes) {
   play.server.address = address();
   play.speed = 0;
   ::testing::internal::CaptureStdout();
-  EXPECT_EQ(run_stream(play), 0);
+  EXPECT_EQ(stream(play), 0);
   ::testing::internal::GetCapturedStdout();
   for (const char* name : {"tcp", "ws"}) {
     WatchCommand watch;
@@ -191,7 +197,7 @@ TEST_F(CommandsTest, AWatcherOfTheSurfaceSeesTheBodyAsOneOfTheVolumeDoes) {
   play.server.address = address();
   play.speed = 0;
   ::testing::internal::CaptureStdout();
-  EXPECT_EQ(run_stream(play), 0);
+  EXPECT_EQ(stream(play), 0);
   ::testing::internal::GetCapturedStdout();
   // The last line of a watcher that stays until it has seen both what was cut before it came and the statistics.
   const auto last_line = [&](const char* view) {
@@ -228,14 +234,14 @@ TEST_F(CommandsTest, StreamSkipsSamplesWhoseTimeDoesNotRiseAndSaysThatNothingWas
   command.json = true;
   ::testing::internal::CaptureStdout();
   ::testing::internal::CaptureStderr();
-  EXPECT_EQ(run_stream(command), 0);
+  EXPECT_EQ(stream(command), 0);
   EXPECT_EQ(nlohmann::json::parse(::testing::internal::GetCapturedStdout())["accepted"], 3);
   const std::string told = ::testing::internal::GetCapturedStderr();
   EXPECT_NE(told.find("warning: " + command.poses.string() + ": skipped 1 of 4 samples"), std::string::npos)
       << told;
   EXPECT_NE(told.find("warning: nothing was cut"), std::string::npos) << told;
   command.strict = true;
-  EXPECT_THROW(run_stream(command), protocol::MotionError);
+  EXPECT_THROW(stream(command), protocol::MotionError);
 }
 
 // A capture of what `append` gives to its writer.
@@ -267,7 +273,7 @@ TEST_F(CommandsTest, StreamPlaysTheWholeOfACaptureWhoseClockRestarts) {
   const auto run = [&] {
     ::testing::internal::CaptureStdout();
     ::testing::internal::CaptureStderr();
-    EXPECT_EQ(run_stream(command), 0);
+    EXPECT_EQ(stream(command), 0);
     told = ::testing::internal::GetCapturedStderr();
     return nlohmann::json::parse(::testing::internal::GetCapturedStdout());
   };
@@ -284,7 +290,7 @@ TEST_F(CommandsTest, StreamPlaysTheWholeOfACaptureWhoseClockRestarts) {
   EXPECT_EQ(told.find(name), std::string::npos) << told;
   command.from_source = 1;
   try {
-    run_stream(command);
+    stream(command);
     ADD_FAILURE() << "there is no such source";
   } catch (const std::runtime_error& error) {
     EXPECT_EQ(std::string(error.what()), "--from-source: found 1; " + command.poses.string() +
@@ -292,9 +298,9 @@ TEST_F(CommandsTest, StreamPlaysTheWholeOfACaptureWhoseClockRestarts) {
   }
   command.from_source = 0;
   command.strict = true;
-  EXPECT_THROW(run_stream(command), protocol::MotionError);
+  EXPECT_THROW(stream(command), protocol::MotionError);
   command.poses = directory / "motion.csv";
-  EXPECT_THROW(run_stream(command), UsageError);
+  EXPECT_THROW(stream(command), UsageError);
 }
 
 // Three operators take a blade one after the other, each with a clock from 0 and a stroke of less than a second.
@@ -310,10 +316,47 @@ TEST_F(CommandsTest, StreamPlaysWhatEachHolderOfABladeDid) {
   ::testing::internal::CaptureStdout();
   ::testing::internal::CaptureStderr();
   command.strict = true;
-  EXPECT_EQ(run_stream(command), 0);
+  EXPECT_EQ(stream(command), 0);
   EXPECT_EQ(::testing::internal::GetCapturedStderr().find("warning"), std::string::npos);
   const auto told = nlohmann::json::parse(::testing::internal::GetCapturedStdout());
   EXPECT_EQ(told["accepted"], 450);
+}
+
+// What was undone and what was before a reset is no more, as in a replay: the counts of --from-source are without it, too.
+TEST_F(CommandsTest, StreamPlaysOnlyWhatCountsOfACapture) {
+  StreamCommand command = stream_of("undone.capture", 0);
+  write_capture(command.poses, [](protocol::CaptureWriter& writer) {
+    const auto stroke = [&](std::uint32_t source, std::int64_t from_ns, int poses) {
+      protocol::PoseSample pose;
+      for (int i = 0; i < poses; ++i) {
+        pose.source_ns = from_ns + 1'000'000 * i;
+        writer.append(protocol::PoseRecord{source, pose, pose.source_ns + 5});
+      }
+    };
+    stroke(0, 0, 1000);
+    writer.append(protocol::ResetRecord{2, 0});
+    stroke(0, 10'000'000'000, 100);
+    stroke(0, 11'000'000'000, 30);
+    writer.append(protocol::UndoRecord{3, 0, 0, 11'000'000'000, 11'000'000'005, 0});
+    stroke(1, 12'000'000'000, 7);
+    stroke(0, 12'500'000'000, 50);
+  });
+  ::testing::internal::CaptureStdout();
+  ::testing::internal::CaptureStderr();
+  EXPECT_EQ(stream(command), 0);
+  const std::string told = ::testing::internal::GetCapturedStderr();
+  const auto summary = nlohmann::json::parse(::testing::internal::GetCapturedStdout());
+  EXPECT_EQ(summary["poses_sent"], 150);
+  EXPECT_NE(told.find("a stroke was undone; the others are used"), std::string::npos) << told;
+  EXPECT_NE(told.find("what came after the last reset is used"), std::string::npos) << told;
+  command.from_source = 2;
+  try {
+    stream(command);
+    ADD_FAILURE() << "there is no such source";
+  } catch (const std::runtime_error& error) {
+    EXPECT_EQ(std::string(error.what()), "--from-source: found 2; " + command.poses.string() +
+                                             " has poses of source 0 (150 poses), source 1 (7 poses)");
+  }
 }
 
 TEST_F(CommandsTest, AWatcherWhoseServerHasGoneSaysSoAndEnds) {
@@ -516,7 +559,7 @@ TEST_F(CommandsTest, OfACaptureTheFirstSourceIsPlayed) {
   command.json = true;
   ::testing::internal::CaptureStdout();
   ::testing::internal::CaptureStderr();
-  EXPECT_EQ(run_stream(command), 0);
+  EXPECT_EQ(stream(command), 0);
   ::testing::internal::GetCapturedStderr();
   const auto summary = nlohmann::json::parse(::testing::internal::GetCapturedStdout());
   EXPECT_EQ(summary["poses_sent"], 10);
@@ -526,7 +569,7 @@ TEST_F(CommandsTest, OfACaptureTheFirstSourceIsPlayed) {
 TEST_F(CommandsTest, AtATenthOfTheSpeedItTakesTenTimesAsLong) {
   StreamCommand command = stream_of("motion.csv", 0.1);  // of 0.2 s
   ::testing::internal::CaptureStdout();
-  EXPECT_EQ(run_stream(command), 0);
+  EXPECT_EQ(stream(command), 0);
   EXPECT_GE(nlohmann::json::parse(::testing::internal::GetCapturedStdout())["seconds"], 1.99);
 }
 
@@ -556,7 +599,7 @@ struct PlayedTo {
     ::testing::internal::CaptureStdout();
     ::testing::internal::CaptureStderr();
     try {
-      status = run_stream(command);
+      status = stream(command);
     } catch (const std::runtime_error& error) {
       thrown = error.what();  // it has gone
     }
@@ -647,7 +690,7 @@ TEST_F(CommandsTest, ABladeThatIsHeldComesWithWhatToDo) {
   options.source_name = command.source_name;
   const auto holder = Client::connect("127.0.0.1", test.server.tcp_port(), options);
   try {
-    run_stream(command);
+    stream(command);
     ADD_FAILURE() << "two hold a blade";
   } catch (const ConnectError& error) {
     EXPECT_NE(std::string(error.what()).find("; --source NAME uses a blade of your own, --take-over takes"),
@@ -683,7 +726,7 @@ TEST_F(CommandsTest, WhatCannotBePlayedIsNamed) {
   command.poses = directory / "nonsense.csv";
   command.server.address = address();
   try {
-    run_stream(command);
+    stream(command);
     FAIL();
   } catch (const std::exception& error) {
     EXPECT_NE(std::string(error.what()).find("nonsense.csv"), std::string::npos) << error.what();
