@@ -154,7 +154,7 @@ Body load_body(const Config& config, FillProgress progress, bool fields) {
     body.name = config.mesh.phantom;
     body.loaded.mesh = mesh_io::make_phantom(*mesh_io::phantom_kind(config.mesh.phantom), options.fill,
                                              body.loaded.warnings);
-    body.loaded.content_hash = mesh_io::mesh_hash(body.loaded.mesh);
+    body.loaded.hash();
     body.loaded.filled = true;
     if (fields) add_declared(config, body.loaded);
     return body;

@@ -62,12 +62,12 @@ class Replay {
     }
     RecordedMotion motion = read_recorded_motion(path);
     config_ = config_of(*motion.header, name_);
-    if (motion.header->mesh_content_hash == live.loaded.content_hash) {
+    if (live.loaded.has_hash(motion.header->mesh_content_hash)) {
       body_ = &live;
     } else {
       if (!config_.mesh.path.empty()) config_.mesh.path = motion.header->mesh_path;
       own_body_ = load_body(config_, {}, true);
-      if (own_body_.loaded.content_hash != motion.header->mesh_content_hash) {
+      if (!own_body_.loaded.has_hash(motion.header->mesh_content_hash)) {
         throw std::runtime_error(name_ + ": " + own_body_.name +
                                  " has changed since this was recorded; a replay needs the mesh as it was");
       }

@@ -35,7 +35,7 @@ bool same_cut(const Config& a, const Config& b) {
 // Throws if the capture does not belong to this mesh and configuration.
 void require_same(const Config& config, const Body& body, const protocol::CaptureHeader& header,
                   const std::string& path) {
-  if (header.mesh_content_hash != body.loaded.content_hash) {
+  if (!body.loaded.has_hash(header.mesh_content_hash)) {
     throw std::runtime_error(path + ": was recorded with another mesh: its hash is " +
                              header.mesh_content_hash + ", that of " + body.name + " is " +
                              body.loaded.content_hash);

@@ -24,7 +24,8 @@ namespace fs = std::filesystem;
 protocol::Welcome greeting(const Replayable& opened, const core::CutSession& session) {
   protocol::Welcome welcome;
   welcome.view = protocol::View::Volume;
-  welcome.mesh = replay::mesh_facts(opened.body.name, opened.body.loaded.content_hash,
+  // The hash as the capture has it, by which the page knows that this is its body.
+  welcome.mesh = replay::mesh_facts(opened.body.name, opened.motion.header->mesh_content_hash,
                                     opened.body.loaded.mesh, session.mesh());
   welcome.blade_heel = replay::to_protocol(opened.config.cut.blade.heel);
   welcome.blade_tip = replay::to_protocol(opened.config.cut.blade.tip);

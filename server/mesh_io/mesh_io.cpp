@@ -159,7 +159,7 @@ LoadedMesh load_mesh(const std::filesystem::path& path, const LoadOptions& optio
                               ": the mesh has been changed since it was saved with its cuts: they are kept, "
                               "but not where the blades that made them have been");
   }
-  loaded.content_hash = mesh_hash(loaded.mesh);
+  loaded.hash();
   return loaded;
 }
 
@@ -174,15 +174,32 @@ Surface read_surface(const std::filesystem::path& path, std::vector<std::string>
                   "; save it as .stl, .ply, .off, .obj or .glb");
 }
 
-std::string mesh_hash(const core::MeshData& mesh) {
+namespace {
+
+bool has_regions(const core::MeshData& mesh) {
+  return std::ranges::any_of(mesh.regions, [](std::int32_t region) { return region != 0; });
+}
+
+std::string hash_of(const core::MeshData& mesh, const std::vector<std::int32_t>& regions) {
   ContentHash hash;
   hash.add(mesh.positions);
   hash.add(mesh.tets);
-  hash.add(mesh.regions);
+  hash.add(regions);
   // So that all others keep their hash.
   if (!mesh.cut_masks.empty()) hash.add(mesh.cut_masks);
   if (!mesh.cut_memory.empty()) hash.add(mesh.cut_memory);
   return hash.hex();
+}
+
+}  // namespace
+
+std::string mesh_hash(const core::MeshData& mesh) {
+  return hash_of(mesh, has_regions(mesh) ? mesh.regions : std::vector<std::int32_t>{});
+}
+
+void LoadedMesh::hash() {
+  content_hash = mesh_hash(mesh);
+  zeros_hash_ = has_regions(mesh) ? "" : hash_of(mesh, std::vector<std::int32_t>(mesh.tets.size()));
 }
 
 void write_mesh(const std::filesystem::path& path, std::span<const core::Vec3> positions,

@@ -27,11 +27,20 @@ struct LoadedMesh {
   core::MeshData mesh;                // valid for core::TetMesh: every tetrahedron positive
   std::vector<Field> fields;          // one row for each vertex or tetrahedron of `mesh`
   std::vector<std::string> warnings;  // one line each: what was repaired or tolerated, and the first place
-  std::string content_hash;           // of `mesh`: 64 hexadecimal digits (mesh_hash)
+  std::string content_hash;           // of `mesh`: 64 hexadecimal digits (mesh_hash); hash() sets it
   bool filled = false;                // from a surface
   // That surface, where a file has it: scaled, its triangles turned outwards, else as in the file.
   std::shared_ptr<const Surface> surface;
   bool from_cache = false;  // and the fill came from the cache
+
+  void hash();
+  // Whether a capture names this mesh. Those of earlier versions may hold another hash of one without regions: a TetGen file's zeros counted.
+  bool has_hash(const std::string& recorded) const {
+    return recorded == content_hash || (!zeros_hash_.empty() && recorded == zeros_hash_);
+  }
+
+ private:
+  std::string zeros_hash_;  // empty: the mesh has regions
 };
 
 // Reads a tetrahedral mesh (.node, .ele, or the base name of both; Gmsh .msh, VTK .vtk and .vtu, Medit .mesh, VegaFEM
@@ -48,7 +57,7 @@ LoadedMesh check_mesh(const std::filesystem::path& path, const LoadOptions& opti
 Surface read_surface(const std::filesystem::path& path, std::vector<std::string>& warnings);
 
 // SHA-256, as 64 hexadecimal digits, of the counts, coordinates, tetrahedra and regions: two meshes with the
-// same hash are the same bits.
+// same hash are the same bits. Regions that are all 0 are as none, which is how most formats have them.
 std::string mesh_hash(const core::MeshData& mesh);
 
 // Whether load_mesh reads a file with this ending as tetrahedra.

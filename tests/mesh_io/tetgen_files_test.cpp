@@ -4,6 +4,7 @@
 
 #include "server/core/geometry/quality.hpp"
 #include "server/core/mesh/tet_mesh.hpp"
+#include "server/mesh_io/hash.hpp"
 #include "server/mesh_io/mesh_io.hpp"
 #include "tests/mesh_io/test_meshes.hpp"
 
@@ -46,6 +47,35 @@ TEST(TetgenFiles, BothIndexBasesGiveTheSameMesh) {
   EXPECT_EQ(zero.mesh.tets, mesh.tets);
   EXPECT_EQ(one.mesh.tets, mesh.tets);
   EXPECT_EQ(zero.content_hash, one.content_hash);
+}
+
+// A body has one hash whatever the format, and is still known by the one that captures of earlier versions name, where a TetGen file's zeros
+// counted as regions.
+TEST(TetgenFiles, RegionsOfZeroAreAsNone) {
+  const TestDirectory directory;
+  core::MeshData mesh = cube_mesh(2);
+  write_mesh(directory / "without.vtu", mesh);
+  mesh.regions.assign(mesh.tets.size(), 0);
+  write_mesh(directory / "zeros.node", mesh);
+  ContentHash older;
+  older.add(mesh.positions);
+  older.add(mesh.tets);
+  older.add(mesh.regions);
+  const std::string of_zeros = older.hex();
+  const LoadedMesh zeros = load_mesh(directory / "zeros"), without = load_mesh(directory / "without.vtu");
+  EXPECT_EQ(zeros.content_hash, without.content_hash);
+  EXPECT_NE(zeros.content_hash, of_zeros);
+  for (const LoadedMesh* loaded : {&zeros, &without}) {
+    EXPECT_TRUE(loaded->has_hash(of_zeros));
+    EXPECT_TRUE(loaded->has_hash(loaded->content_hash));
+    EXPECT_FALSE(loaded->has_hash(""));
+  }
+  mesh.regions[3] = 1;
+  write_mesh(directory / "ones.node", mesh);
+  const LoadedMesh ones = load_mesh(directory / "ones");
+  EXPECT_FALSE(ones.has_hash(of_zeros));
+  EXPECT_FALSE(ones.has_hash(zeros.content_hash));
+  EXPECT_FALSE(ones.has_hash(""));
 }
 
 TEST(TetgenFiles, CommentsBlankLinesAttributesAndMarkers) {

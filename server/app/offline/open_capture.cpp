@@ -43,7 +43,7 @@ Replayable open_capture(const std::filesystem::path& capture, const std::filesys
   Progress filling("loading the mesh");
   opened.body = load_body(
       opened.config, [&](std::string_view stage, double) { filling.show(-1, stage); }, fields);
-  if (opened.body.loaded.content_hash != header.mesh_content_hash) {
+  if (!opened.body.loaded.has_hash(header.mesh_content_hash)) {
     throw std::runtime_error(capture.string() + ": was recorded with another mesh: its hash is " +
                              header.mesh_content_hash + ", that of " + opened.body.name + " is " +
                              opened.body.loaded.content_hash + "; give the right one with --mesh");

@@ -269,7 +269,7 @@ Conversion convert(const ConvertCommand& command, const Output& out, Progress& p
   core::CutSession session(body.loaded.mesh, config.cut);
   MotionRun run(session, motion, config, command.motion.string());
   // A simulation's positions name vertices of the mesh that they were recorded with.
-  const bool deformations = motion.header && motion.header->mesh_content_hash == header.mesh_content_hash;
+  const bool deformations = motion.header && body.loaded.has_hash(motion.header->mesh_content_hash);
   progress.stage("converting");
   try {
     write_capture(command.out, header, config, run, deformations, progress);

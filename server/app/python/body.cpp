@@ -64,7 +64,7 @@ Body from_arrays(const py::object& given_points, const py::object& given_tets,
     mesh_io::repair_tets(mesh, name, 0, loaded->warnings, &kept);
     for (Field& field : loaded->fields)
       field = core::rows_of(field, field.on == Field::On::kVertices ? kept.vertices : kept.tets);
-    loaded->content_hash = mesh_io::mesh_hash(mesh);
+    loaded->hash();
   }
   return {name, std::move(loaded)};
 }
@@ -90,7 +90,7 @@ Body phantom(const std::string& kind, std::int64_t tets) {
   const py::gil_scoped_release release;
   auto loaded = std::make_shared<LoadedMesh>();
   loaded->mesh = mesh_io::make_phantom(*known, fill, loaded->warnings);
-  loaded->content_hash = mesh_io::mesh_hash(loaded->mesh);
+  loaded->hash();
   loaded->filled = true;
   return {kind, std::move(loaded)};
 }

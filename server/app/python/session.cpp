@@ -237,7 +237,7 @@ Body current_body(Session& session) {
   with_core(session, [&](const core::CutSession& core) {
     loaded->mesh = core.export_data();
     loaded->fields = app::saved_fields(core);
-    loaded->content_hash = mesh_io::mesh_hash(loaded->mesh);
+    loaded->hash();
   });
   return {session.body->name + " (cut)", std::move(loaded)};
 }
