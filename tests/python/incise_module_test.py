@@ -19,6 +19,7 @@ import tempfile
 import threading
 import time
 import unittest
+import warnings
 
 import numpy as np
 
@@ -315,6 +316,29 @@ class Fields(Folder):
         self.assertEqual(len(session.tet_fields()["stress"]), len(session.tets()))
         np.testing.assert_array_equal(session.tet_fields()["same as region"], session.tets()["region"])
         self.assertEqual((incise.Body.phantom("slab", 600).vertex_fields, incise.Session(plain).tet_fields()), ({}, {}))
+
+    def test_a_file_that_has_no_place_for_them_is_a_warning(self):
+        plain, body = self.body(vertex_fields={name: np.zeros(len(self.body()[0].points)) for name in "abcde"})
+        said = ": is without the body's fields (a, b, c, d and 1 more); .vtu and .vtk have them"
+        for source, ending in ((body, "msh"), (incise.Session(body), "msh"), (body, "node"), (body, "stl")):
+            path = self.folder / f"out.{ending}"
+            with self.assertWarns(UserWarning) as warned:
+                source.save(path)
+            self.assertEqual(str(warned.warning), f"{path}{said}")
+            self.assertTrue(path.exists())
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            body.save(self.folder / "body.vtu")
+            plain.save(self.folder / "plain.msh")
+        poses, config, session = (self.folder / name for name in ("poses.csv", "config.json", "a.capture"))
+        poses.write_text("t_s,x_m,y_m,z_m\n" + "".join(f"{t},{x},{y},{z}\n" for t, x, y, z in THROUGH))
+        config.write_text(json.dumps({"blade": {"heel": BLADE[0], "tip": BLADE[1]}, "cut": {"engage": "always"}}))
+        run_incise("convert", poses, "--mesh", self.folder / "body.vtu", "--config", config, "--out", session)
+        for arguments in (("cut", "--mesh", self.folder / "body.vtu", "--poses", poses, "--blade", BLADE_TEXT), ("export", session)):
+            for ending, expected in (("vtu", []), ("msh", [f"{self.folder / 'out.msh'}{said}"])):
+                done = run_incise(*arguments, "--out", self.folder / f"out.{ending}", "--json")
+                warned = [text for text in json.loads(done.stdout)["warnings"] if "orientations" not in text]
+                self.assertEqual(warned, expected, done.stderr)
 
     def test_an_export_has_them(self):
         plain, _ = self.body()

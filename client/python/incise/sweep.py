@@ -44,6 +44,7 @@ import pathlib
 import random
 import sys
 import time
+import warnings
 from typing import Any, Callable, Iterator
 
 import incise
@@ -484,7 +485,11 @@ def main(arguments: list[str] | None = None) -> int:
             attributes, _, cut = make_sample(plan, options.sample, [])
             if options.out:
                 _require_not_read(plan, options.spec, options.out)
-                cut.session.save(options.out)
+                with warnings.catch_warnings(record=True) as told:
+                    warnings.simplefilter("always")
+                    cut.session.save(options.out)
+                for warning in told:
+                    print(f"warning: {warning.message}", file=sys.stderr)
             result = {key: json.loads(attributes[key]) for key in ("body", "motion", "parameters", "report")}
             print(json.dumps(result, indent=2) if options.json else
                   f"sample {options.sample}: {attributes['body']} {attributes['motion']} {attributes['parameters']}: "

@@ -147,9 +147,9 @@ int run_cut(const CutCommand& command) {
   std::vector<Json> reports;
   {
     Progress progress("reading " + command.poses.filename().string());
-    CutInput in = read_motion_input({command.poses, command.mesh, command.config, command.blade,
-                                     command.times, !compares && keeps_fields(command.out)},
-                                    Engage::kAlways, progress);
+    CutInput in = read_motion_input(
+        {command.poses, command.mesh, command.config, command.blade, command.times, command.out},
+        Engage::kAlways, progress);
     if (!command.policy.empty())
       in.config.cut.policy = command.policy == "croll" ? core::Policy::kCroll : core::Policy::kConforming;
     for (const auto prefer :

@@ -151,6 +151,16 @@ bool keeps_fields(const fs::path& path) {
   return ending == ".vtu" || ending == ".vtk";
 }
 
+std::string fields_left_out(const fs::path& path, std::span<const mesh_io::Field> fields) {
+  if (fields.empty() || keeps_fields(path)) return {};
+  constexpr std::size_t kNamed = 4;
+  std::string names;
+  for (const mesh_io::Field& field : fields.first(std::min(fields.size(), kNamed)))
+    names += (names.empty() ? "" : ", ") + field.name;
+  if (fields.size() > kNamed) names += " and " + std::to_string(fields.size() - kNamed) + " more";
+  return path.string() + ": is without the body's fields (" + names + "); .vtu and .vtk have them";
+}
+
 bool keeps_materials(const fs::path& path) {
   return is_glb_file(path) || lowercase_ending(path) == ".obj";
 }

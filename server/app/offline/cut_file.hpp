@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <filesystem>
 #include <iosfwd>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -40,6 +41,8 @@ void print_written(const std::vector<std::filesystem::path>& files);
 
 // Whether write_cut_mesh() writes fields to a file of this name.
 bool keeps_fields(const std::filesystem::path& path);
+// The warning that a file of this name is without these fields; empty where it has them, or there are none.
+std::string fields_left_out(const std::filesystem::path& path, std::span<const mesh_io::Field> fields);
 
 // Whether write_cut_mesh() writes materials to a file of this name.
 bool keeps_materials(const std::filesystem::path& path);

@@ -5,6 +5,7 @@
 
 #include "client/cli/usage.hpp"
 #include "server/app/body.hpp"
+#include "server/app/offline/cut_file.hpp"
 #include "server/app/offline/open_capture.hpp"
 
 namespace incise::app {
@@ -25,8 +26,12 @@ CutInput read_motion_input(const MotionFiles& files, Engage engage, Progress& pr
   progress.stage("loading " + files.mesh.filename().string());
   mesh_io::LoadOptions options =
       load_options(config, [&](std::string_view stage, double) { progress.show(-1, stage); });
-  options.fields = files.fields;
+  options.fields = !files.out.empty();
   auto loaded = mesh_io::load_mesh(files.mesh, options);
+  if (std::string warning = fields_left_out(files.out, loaded.fields); !warning.empty()) {
+    loaded.fields.clear();
+    loaded.warnings.push_back(std::move(warning));
+  }
   if (!files.blade.empty()) {
     const std::string fault = blade_fault(config, motion, box_of(loaded.mesh).diagonal());
     if (!fault.empty()) throw client::UsageError("--blade " + fault);

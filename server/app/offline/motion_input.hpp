@@ -15,7 +15,7 @@ struct MotionFiles {
   std::filesystem::path config;  // empty: the capture's if the motion is one, else the defaults
   std::string blade;             // "hx,hy,hz:tx,ty,tz", for every source; empty: the configuration's
   protocol::Times times = protocol::Times::kSkip;
-  bool fields = false;  // read the mesh's fields, too
+  std::filesystem::path out = {};  // where the mesh goes, with its fields or a warning; empty: nowhere
 };
 
 // Reads both: common to `incise cut` and `incise feel`. Throws what the readers throw.

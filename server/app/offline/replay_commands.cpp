@@ -123,8 +123,9 @@ int run_replay(const ReplayCommand& command) {
 int run_export(const ExportCommand& command) {
   const Output out{command.out, "--out", Output::Kind::kMesh};
   require_outputs({out}, {command.capture, command.mesh, command.config});
-  Replayable opened =
-      open_capture(command.capture, command.mesh, command.if_damaged, keeps_fields(command.out));
+  Replayable opened = open_capture(command.capture, command.mesh, command.if_damaged, true);
+  const std::string without_fields = fields_left_out(command.out, opened.body.loaded.fields);
+  if (!without_fields.empty()) opened.body.loaded.fields.clear();
   require_not_read(out, {opened.config.mesh.path});
   std::vector<RegionMaterials> regions;
   if (keeps_materials(command.out)) {
@@ -153,6 +154,7 @@ int run_export(const ExportCommand& command) {
                        ": has the body as a simulation has deformed it, not where it was at rest; .vtu and "
                        ".vtk have both");
   }
+  if (!without_fields.empty()) warnings.push_back(without_fields);
   print_warnings(warnings);
   if (command.json) {
     std::printf("%s\n", Json{{"out", command.out.string()},

@@ -99,15 +99,18 @@ void save(const Body& body, const py::object& given) {
   const auto path = path_from(given, "path");
   app::require_mesh_output(path, "path");
   const MeshData& mesh = body.loaded->mesh;
-  const py::gil_scoped_release release;
-  if (mesh_io::is_surface_file(path)) {
-    mesh_io::write_surface(path, mesh_io::boundary_surface(mesh.positions, mesh.tets));
-  } else if (path.has_extension() && !mesh_io::is_mesh_file(path)) {
-    app::write_cut_mesh(path, core::TetMesh(mesh), body.loaded->surface.get());
-  } else {
-    mesh_io::write_mesh(path.has_extension() ? path : std::filesystem::path(path.string() + ".node"), mesh,
-                        body.loaded->fields);
+  {
+    const py::gil_scoped_release release;
+    if (mesh_io::is_surface_file(path)) {
+      mesh_io::write_surface(path, mesh_io::boundary_surface(mesh.positions, mesh.tets));
+    } else if (path.has_extension() && !mesh_io::is_mesh_file(path)) {
+      app::write_cut_mesh(path, core::TetMesh(mesh), body.loaded->surface.get());
+    } else {
+      mesh_io::write_mesh(path.has_extension() ? path : std::filesystem::path(path.string() + ".node"), mesh,
+                          body.loaded->fields);
+    }
   }
+  warn(app::fields_left_out(path, body.loaded->fields));
 }
 
 py::array tets_of(const py::object& self) {
@@ -197,7 +200,8 @@ along z) or "slab" (100 x 60 x 20 mm). The same arguments give the same bits. Ne
           "list of str: what was repaired or tolerated, and the first place.")
       .def("save", &save, py::arg("path"), R"(save(path)
 
-Writes the mesh by the ending of path: .vtu, .vtk, .msh, .msh2, .mesh, .node, or its surface as .stl, .ply, .off, .obj, .vtp.)")
+Writes the mesh by the ending of path: .vtu, .vtk, .msh, .msh2, .mesh, .node, or its surface as .stl, .ply, .off, .obj, .vtp. Only .vtu
+and .vtk have its fields: a UserWarning says which are left out.)")
       .def("__repr__", [](const Body& body) {
         return "<incise.Body " + body.name + ": " + std::to_string(body.loaded->mesh.positions.size()) +
                " points, " + std::to_string(body.loaded->mesh.tets.size()) + " tetrahedra>";

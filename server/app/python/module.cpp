@@ -69,6 +69,10 @@ std::optional<core::Blade> choose(app::Config& config, const Choices& choices) {
   return blade;
 }
 
+void warn(const std::string& text) {
+  if (!text.empty() && PyErr_WarnEx(PyExc_UserWarning, text.c_str(), 1) != 0) throw py::error_already_set();
+}
+
 void add_errors(py::module_& module) {
   // The text is what the command line prints after "incise: ".
   static const py::exception<std::runtime_error> error(module, "Error", PyExc_Exception);

@@ -49,6 +49,9 @@ std::shared_ptr<const Body> body_from(const py::object& value, const app::Config
 // A Motion, the path of one, or an array of poses. `strict` counts for a path.
 std::shared_ptr<const Motion> motion_from(const py::object& value, bool strict);
 
+// A UserWarning; nothing where there is no text. Throws what a program has made of such warnings.
+void warn(const std::string& text);
+
 void add_errors(py::module_& module);
 void add_body(py::module_& module);
 void add_motion(py::module_& module);

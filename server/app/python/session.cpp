@@ -227,9 +227,10 @@ py::dict measure(Session& session) {
 void save(Session& session, const py::object& given) {
   const auto path = path_from(given, "path");
   app::require_mesh_output(path, "path");
-  with_core(session, [&](const core::CutSession& core) {
+  warn(with_core(session, [&](const core::CutSession& core) {
     app::write_cut_mesh(path, core, session.body->loaded->surface.get());
-  });
+    return app::fields_left_out(path, core.fields().all());
+  }));
 }
 
 Body current_body(Session& session) {
@@ -325,7 +326,7 @@ void add_state(py::class_<Session, std::shared_ptr<Session>>& type) {
       .def("save", &save, py::arg("path"), R"(save(path)
 
 Writes the mesh as `incise cut --out` does, by the ending of path; .vtu and .vtk have piece (numbered as pieces()), cut faces,
-angles and more, and the fields; .glb has a node piece_N for each piece N. After deform() that is the deformed shape, which is at rest where
+angles and more, and the fields (of other endings a UserWarning says which are left out); .glb has a node piece_N for each piece N. After deform() that is the deformed shape, which is at rest where
 the file is loaded; .vtu and .vtk then have the vertex field "rest_position" too, (n, 3) float32: rest_positions() of what is saved. A body
 that has a vertex field of that name keeps its own.)")
       .def("current_body", &current_body,
