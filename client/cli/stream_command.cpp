@@ -180,7 +180,8 @@ class Player {
                                            {"first_revision", welcome_.revision},
                                            {"revision", revision},
                                            {"revisions", revision - std::min(revision, welcome_.revision)},
-                                           {"session", welcome_.session},
+                                           // Text: jq and JavaScript round a number of 64 bits.
+                                           {"session", std::to_string(welcome_.session)},
                                            {"rounds", rounds_},
                                            {"seconds", seconds_}};
       std::printf("%s\n", summary.dump().c_str());

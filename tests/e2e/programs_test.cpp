@@ -104,7 +104,7 @@ TEST_F(ProgramsTest, AStreamedMotionCanBeginWithAnUncutBody) {
   EXPECT_EQ(again["first_revision"], 0);
   EXPECT_EQ(again["revision"], first["revision"]);
   ASSERT_TRUE(viewer->wait_for_revision(again["revision"], 20));
-  EXPECT_EQ(viewer->welcome().session, again["session"]);
+  EXPECT_EQ(std::to_string(viewer->welcome().session), again["session"]);
 }
 
 TEST_F(ProgramsTest, AStreamedMotionCutsAndEverybodySeesTheSame) {
