@@ -2,7 +2,6 @@
 import sys
 
 import incise_client
-from incise.wire import Role
 
 
 def on_delta(client, delta):
@@ -17,7 +16,7 @@ def on_positions_report(client, report):
 
 
 port = int(sys.argv[1]) if len(sys.argv) > 1 else 7450
-with incise_client.connect("127.0.0.1", port, role=Role.Role.Simulator) as client:
+with incise_client.connect("127.0.0.1", port, role="simulator") as client:
     client.on_delta = on_delta
     client.on_positions_report = on_positions_report
     for step in range(1, 21):

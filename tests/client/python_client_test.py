@@ -350,6 +350,19 @@ class Session(unittest.TestCase):
         self.assertEqual(Message.Message.GetRootAs(self.received[1], 0).Sequence(), 2)
         self.assertEqual(Message.Message.GetRootAs(self.received[-1], 0).BodyType(), Body.Body.Bye)
 
+    def test_roles_and_views_have_names(self):
+        for role, view in ((Role.Role.Operator, View.View.Surface), ("operator", "surface")):
+            port = self.serve(self.messages("Welcome"))
+            incise_client.connect("127.0.0.1", port, role=role, view=view).close()
+            self.thread.join()
+            hello = parse(self.received[0])
+            self.assertEqual((hello.Role(), hello.View()), (Role.Role.Operator, View.View.Surface))
+        for options, text in (({"view": "whole"}, 'view: found \'whole\'; accepted is "none", "surface", "volume", or a wire.View'),
+                              ({"role": 9}, 'role: found 9; accepted is "viewer", "operator", "simulator", "admin", or a wire.Role')):
+            with self.subTest(text), self.assertRaises(ValueError) as raised:
+                incise_client.connect("127.0.0.1", 1, **options)
+            self.assertEqual(str(raised.exception), text)
+
     def test_reset_and_undo_are_sent(self):
         port = self.serve(self.messages("Welcome"))
         with incise_client.connect("127.0.0.1", port, role=Role.Role.Admin) as client:

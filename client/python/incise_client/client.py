@@ -41,6 +41,16 @@ class Pose:
     buttons: int = 0
 
 
+def _enum_value(enum: Any, what: str, given: int | str) -> int:
+    """The value of a wire enum, given as that or by its name in small letters."""
+    values = {name.rstrip("_").lower(): value for name, value in vars(enum).items() if not name.startswith("_")}
+    if given in values.values():
+        return int(given)
+    if isinstance(given, str) and given in values:
+        return values[given]
+    raise ValueError(f"{what}: found {given!r}; accepted is " + ", ".join(f'"{name}"' for name in values) + f", or a wire.{enum.__name__}")
+
+
 _MODULES = {
     Body.Body.Welcome: Welcome.Welcome, Body.Body.Ping: Ping.Ping, Body.Body.Error: Error.Error, Body.Body.Bye: Bye.Bye,
     Body.Body.PoseReport: PoseReport.PoseReport, Body.Body.Delta: Delta.Delta,
@@ -54,6 +64,7 @@ _MODULES = {
 class Client:
     """Holds a replica in step. One thread at a time: everything happens within poll() and what calls it.
 
+    ``role`` is "viewer", "operator", "simulator" or "admin", ``view`` "volume", "surface" or "none"; wire.Role and wire.View are taken, too.
     ``replica`` is a Replica for view Volume, a Surface for view Surface; each snapshot, as after an undo, brings another object. With ``box``, two corners ((x, y, z), (x, y, z)) in
     metres, it is what touches that box: a Surface, or for view Volume a VolumePart. ``blade`` is an operator's own: heel and
     tip in the tool's frame, metres. ``fields`` names those to hold ("*": all), with view Volume and no box. ``resume`` is a client that was connected to the same server: its state is continued.
@@ -74,13 +85,14 @@ class Client:
     is sent, for numbers or shapes that no server takes.
     """
 
-    def __init__(self, host: str, port: int, *, role: int = Role.Role.Viewer, view: int = View.View.Volume,
+    def __init__(self, host: str, port: int, *, role: int | str = "viewer", view: int | str = "volume",
                  token: str = "", source_name: str = "blade", take_over: bool = False,
                  blade: Optional[tuple[Sequence[float], Sequence[float]]] = None, max_rate_hz: float = 0.0,
                  box: Optional[tuple[tuple[float, float, float], tuple[float, float, float]]] = None,
                  timeout_s: float = 5.0, resume: Optional["Client"] = None,
                  ssl_context: Optional[tls.SSLContext] = None, load_rate_hz: float = 0.0,
                  fields: Sequence[str] | str = ()) -> None:
+        role, view = _enum_value(Role.Role, "role", role), _enum_value(View.View, "view", view)
         if isinstance(fields, str):
             fields = [fields]
         held = resume if resume and not resume._awaiting_snapshot else None
