@@ -265,6 +265,23 @@ class SameAsAServer(Folder):
         self.assertEqual(single.push(rows[0]), "time not increasing")
         self.assertEqual(single.state_hash, whole.state_hash)
 
+    def test_what_is_pushed_after_a_motion_has_a_clock_of_its_own(self):
+        body = incise.Body.phantom("slab", 1_000)
+        across = [(t, 0.05 + x, y, 0.1, 0, 0, 0, 1) for t, x, y in ((0.0, 0.0, -0.02), (0.2, 0.01, 0.08))]
+        moved = [(t, x + 0.02, *rest) for t, x, *rest in across]
+        twice = incise.Session(body, blade=BLADE)
+        twice.cut(across)
+        twice.cut(moved)
+        for session in (incise.Session(body, blade=BLADE, forces=True), incise.cut(body, across, blade=BLADE).session):
+            if session.revision == 0:
+                session.cut(across)
+            self.assertEqual([session.push(row) for row in moved][0], "accepted")
+            session.end_stroke()
+            while session.advance():
+                pass
+            self.assertEqual(session.measure()["pieces"], 3)
+            self.assertEqual(session.state_hash, twice.state_hash)
+
 
 class Fields(Folder):
     def body(self, **fields):

@@ -26,6 +26,19 @@ app::RecordedMotion opened(const Motion& motion, const app::Config& config) {
   return out;
 }
 
+// What is pushed after a motion has a clock and the configured blade of its own, too.
+void reopen(Session& session, core::CutSession& core, const app::RecordedMotion& motion) {
+  std::uint32_t used = 0;
+  for (const MotionEvent& event : motion.events) used |= 1u << event.source;
+  for (std::uint32_t source = 0; source < core::kMaxSources; ++source) {
+    if ((used >> source & 1u) == 0) continue;
+    const core::Blade& blade = session.config.cut.blade;
+    core.set_blade(source, blade);
+    if (session.forces)
+      session.forces->event(session.config, {MotionEvent::Kind::kOpened, source, {}, 0, blade});
+  }
+}
+
 bool brings_blade(const app::RecordedMotion& motion) {
   return !motion.header && motion.count(MotionEvent::Kind::kOpened) > 0;
 }
@@ -71,6 +84,7 @@ Cut cut_session(const std::shared_ptr<Session>& session, const Motion& motion, b
                    recorder.commit(use.core(), delta);
                  }},
             progress);
+    reopen(*session, use.core(), events);
     cut.warnings = events.warnings;
     for (std::string& warning : run.warnings(cut_faces, body)) cut.warnings.push_back(std::move(warning));
   }
@@ -109,6 +123,7 @@ Cut cut_body(const py::object& given_body, const py::object& poses, const py::ob
                   .commit = [&](const core::CutSession& core,
                                 const core::Delta& delta) { recorder.commit(core, delta); }});
     session->core = std::move(out.session);
+    reopen(*session, *session->core, in.motion);
     cut.warnings = out.report["warnings"].get<std::vector<std::string>>();
     const std::string text = out.report.dump();
     const py::gil_scoped_acquire acquire;
