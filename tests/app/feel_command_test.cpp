@@ -93,6 +93,24 @@ void expect_error(const RunResult& result, int exit_code, const std::vector<std:
     EXPECT_NE(result.err.find(part), std::string::npos) << result.err << "lacks " << part;
 }
 
+// Two poses of a capture between which the blade goes right through. Their boxes meet, so neither units nor frames are to blame.
+TEST_F(Feel, PosesOnEitherSideOfTheBodyAreSaidToBeFarApart) {
+  write_slab();
+  write("c.json", R"({"blade": {"heel": [0,0,0], "tip": [0,0,-0.05]}, "cut": {"engage": "always"}})");
+  write("two.csv", "t_s,x_m,y_m,z_m\n0,0.05,-0.05,0.05\n1,0.05,0.2,0.05\n");
+  ASSERT_EQ(
+      run({"convert", "two.csv", "--mesh", "slab", "--config", "c.json", "--out", "two.capture"}).exit_code,
+      0);
+  const RunResult result = run({"feel", "two.capture", "--mesh", "slab"});
+  EXPECT_EQ(result.exit_code, 3);
+  EXPECT_NE(
+      result.err.find("no contact: the blade came near the body, but at no pose is it in there; forces are "
+                      "computed at poses, and these are up to 1 s apart"),
+      std::string::npos)
+      << result.err;
+  EXPECT_EQ(result.err.find("units"), std::string::npos) << result.err;
+}
+
 // The elastic foundation: under a point, and for each metre of edge inside (material.hpp).
 TEST_F(Feel, APressedBladeFeelsTheMaterialsConstants) {
   write_slab();

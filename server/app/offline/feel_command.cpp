@@ -120,9 +120,10 @@ void print_blade(const Json& blade) {
   print_row("punctures", text);
   print_row("work by the hand", number("work_by_hand_j") + " J");
   const auto limited = blade["limited_poses"].get<std::uint64_t>();
-  print_row("limited",
-            counted(limited, "pose", "poses") +
-                (limited > 0 ? "; without limits up to " + number("peak_tissue_force_n") + " N" : ""));
+  // The largest force may not be one of these.
+  const bool lowered = limited > 0 && number("peak_tissue_force_n") != number("peak_force_n");
+  print_row("limited", counted(limited, "pose", "poses") +
+                           (lowered ? "; without limits up to " + number("peak_tissue_force_n") + " N" : ""));
 }
 
 void print(const Json& report) {

@@ -122,14 +122,27 @@ bool FeelRun::touched() const {
 
 std::vector<std::string> FeelRun::warnings() const {
   std::vector<std::string> all = motion_run_.pose_warnings();
-  if (!touched()) {
-    all.push_back(poses_.empty() ? "no contact: no pose was accepted"
-                                 : "no contact: the blade was in " + reach_.text() + ", the mesh fills " +
-                                       input_.body.text() + " (metres); check the blade, units and frames");
-  }
+  if (!touched()) all.push_back("no contact: " + why_no_contact());
   if (std::string hint = motion_run_.units_hint(!touched(), input_.body); !hint.empty())
     all.push_back(std::move(hint));
   return all;
+}
+
+std::string FeelRun::why_no_contact() const {
+  if (poses_.empty()) return "no pose was accepted";
+  if (!reach_.meets(input_.body)) {
+    return "the blade was in " + reach_.text() + ", the mesh fills " + input_.body.text() +
+           " (metres); check the blade, units and frames";
+  }
+  std::int64_t longest_ns = 0;
+  std::array<const FeltPose*, core::kMaxSources> last{};
+  for (const FeltPose& pose : poses_) {
+    if (const FeltPose* before = std::exchange(last[pose.source], &pose))
+      longest_ns = std::max(longest_ns, pose.time_ns - before->time_ns);
+  }
+  return "the blade came near the body, but at no pose is it in there; forces are computed at poses, and "
+         "these are up to " +
+         short_number(static_cast<double>(longest_ns) * 1e-9) + " s apart";
 }
 
 }  // namespace incise::app

@@ -63,6 +63,7 @@ class FeelRun final : private haptics::ForceSink {
   void handle(const MotionEvent& event, core::PoseVerdict verdict);
   void open(std::uint32_t source, const core::Blade& blade);
   void advance_clock(const MotionEvent& event);
+  std::string why_no_contact() const;
 
   const CutInput& input_;
   core::CutSession session_;

@@ -24,6 +24,10 @@ std::string explained(core::PoseVerdict verdict);
 struct Box {
   core::Vec3 low{1e300, 1e300, 1e300}, high{-1e300, -1e300, -1e300};
   void add(const core::Vec3& p) { core::extend(p, low, high); }
+  bool meets(const Box& other) const {
+    return low.x <= other.high.x && other.low.x <= high.x && low.y <= other.high.y && other.low.y <= high.y &&
+           low.z <= other.high.z && other.low.z <= high.z;
+  }
   double diagonal() const { return low.x > high.x ? 0 : core::distance(low, high); }
   std::string text() const;
 };
