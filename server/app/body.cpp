@@ -68,7 +68,7 @@ void check_cuttable(const Config& config, const core::MeshData& body, const std:
                       " km from the origin: move it there, or set mesh.scale_to_metres");
   }
   const auto check = [&](const std::string& key, const core::Blade& blade) {
-    if (const std::string fault = blade_fault(blade, size_m); !fault.empty())
+    if (const std::string fault = blade_fault(blade, config, size_m); !fault.empty())
       throw ConfigError(in_file + key + ": the blade " + fault);
   };
   check("blade", config.cut.blade);

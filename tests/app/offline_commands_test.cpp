@@ -824,6 +824,14 @@ TEST_F(Incise, ABladeMuchLongerThanTheBodyIsRefused) {
                {"the blade" + fault});
   EXPECT_FALSE(std::filesystem::exists(dir_ / "out.vtu"));
   EXPECT_FALSE(std::filesystem::exists(dir_ / "out.capture"));
+  // The mesh is in metres, and is scaled once more.
+  write("scaled.json", R"({"mesh": {"path": "cube.node", "scale_to_metres": 0.001}})");
+  expect_error(
+      run({"cut", "--mesh", "cube", "--poses", "sweep.csv", "--config", "scaled.json", "--out", "out.vtu"}),
+      1,
+      {"the blade is 0.05 m long, the body 0.0001732 m: this looks like millimetres; divide by 1000, or "
+       "leave out "
+       "mesh.scale_to_metres (0.001) if the mesh is in metres already"});
 }
 
 TEST_F(Incise, NothingThatIsReadIsOverwritten) {

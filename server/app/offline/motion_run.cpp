@@ -91,6 +91,13 @@ std::string scale_hint(double times, double body_size_m) {
          choose(short_number(0.01 * body_size_m) + " m", short_number(0.001 * body_size_m) + " m") + " long";
 }
 
+// Where a body is too small for a blade or a motion: the other reason.
+std::string or_scaled_already(const Config& config) {
+  const double scale = config.mesh.scale_to_metres;
+  if (scale >= 1) return {};
+  return ", or leave out mesh.scale_to_metres (" + short_number(scale) + ") if the mesh is in metres already";
+}
+
 }  // namespace
 
 std::string Box::text() const {
@@ -148,12 +155,13 @@ std::string suit_limits(Config& config, const RecordedMotion& motion, double bod
   return text;
 }
 
-std::string blade_fault(const core::Blade& blade, double body_size_m) {
+std::string blade_fault(const core::Blade& blade, const Config& config, double body_size_m) {
   const double length_m = core::distance(blade.heel, blade.tip), most_m = kMostBladeLengths * body_size_m;
   if (length_m <= most_m) return {};
   return "is " + short_number(length_m) + " m long, the body " + short_number(body_size_m) + " m: " +
-         (length_m <= 1000 * most_m ? "this looks like millimetres; divide by 1000"
-                                    : "accepted is at most 100 times the body");
+         (length_m <= 1000 * most_m
+              ? "this looks like millimetres; divide by 1000" + or_scaled_already(config)
+              : "accepted is at most 100 times the body");
 }
 
 std::string blade_fault(const Config& config, const RecordedMotion& motion, double body_size_m) {
@@ -162,7 +170,7 @@ std::string blade_fault(const Config& config, const RecordedMotion& motion, doub
     const core::Blade& blade = event.blade ? *event.blade : blade_of(config, event.source);
     if (core::distance(blade.heel, blade.tip) > core::distance(longest.heel, longest.tip)) longest = blade;
   }
-  return blade_fault(longest, body_size_m);
+  return blade_fault(longest, config, body_size_m);
 }
 
 void check_blade(const Config& config, const RecordedMotion& motion, double body_size_m) {
@@ -303,7 +311,8 @@ std::string MotionRun::units_hint(bool nothing_met, const Box& body) const {
   const std::string spans = name_ + ": the tool's way spans " + short_number(tool_.diagonal()) +
                             " m, the body " + short_number(body.diagonal()) + " m: ";
   if (times > kMinUnitError && times < kMaxUnitError)
-    return spans + "these poses look like millimetres; divide x, y and z by 1000";
+    return spans + "these poses look like millimetres; divide x, y and z by 1000" +
+           or_scaled_already(config_);
   if (!nothing_met) return {};
   const std::string scale = scale_hint(1 / times, body.diagonal());
   return scale.empty() ? scale : spans + scale;

@@ -45,7 +45,7 @@ void hold_button(RecordedMotion& motion, const Config& config);
 std::string suit_limits(Config& config, const RecordedMotion& motion, double body_size_m);
 
 // What is wrong with a blade that is more than 100 times as long as the body, to follow its name; empty: nothing.
-std::string blade_fault(const core::Blade& blade, double body_size_m);
+std::string blade_fault(const core::Blade& blade, const Config& config, double body_size_m);
 // With the longest one of a motion.
 std::string blade_fault(const Config& config, const RecordedMotion& motion, double body_size_m);
 // Throws std::runtime_error if there is such a fault.

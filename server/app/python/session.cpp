@@ -33,7 +33,8 @@ std::shared_ptr<Session> make_session(const py::object& body, const py::object& 
   session->body = body_from(body, session->config);
   const py::gil_scoped_release release;
   const core::MeshData& mesh = session->body->loaded->mesh;
-  session->blade_fault = app::blade_fault(session->config.cut.blade, app::box_of(mesh).diagonal());
+  session->blade_fault =
+      app::blade_fault(session->config.cut.blade, session->config, app::box_of(mesh).diagonal());
   session->core =
       std::make_unique<core::CutSession>(mesh, session->config.cut, session->body->loaded->fields);
   if (forces) session->forces = std::make_unique<ForceTrace>(session->config, mesh);
