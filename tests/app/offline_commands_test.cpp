@@ -1262,6 +1262,41 @@ TEST_F(Incise, ACaptureThatAServerWritesIsNotOverwritten) {
 }
 
 // Holders of a blade have clocks of their own, and a capture has poses that were rejected, too.
+// When poses reached the server is in what convert makes of a capture, too: incise feel and players go by that.
+TEST_F(Incise, ConvertKeepsWhenPosesArrived) {
+  write_cube_and_sweep();
+  protocol::CaptureHeader header;
+  header.config_json = R"({"blade": {"heel": [0,0,0], "tip": [0,0,-0.14]}, "cut": {"engage": "always"}})";
+  {
+    protocol::FileSink sink((dir_ / "a.capture").string(), true);
+    protocol::CaptureWriter writer(sink, header);
+    for (int i = 0; i < 100; ++i) {
+      protocol::PoseRecord record;
+      record.pose.source_ns = 5'000'000'000 + 1'000'000 * i;
+      record.pose.position = {0.041, -0.02 + 0.0014 * i, 0.12};
+      record.pose.orientation = {1, 0, 0, 0};
+      record.arrival_ns = 70'000'000'000 + 3'000'000 * i;
+      writer.append(record);
+    }
+    writer.append(protocol::EndRecord{});
+    ASSERT_FALSE(writer.flush());
+  }
+  const RunResult made = run({"convert", "a.capture", "--mesh", "cube", "--out", "b.capture"});
+  ASSERT_EQ(made.exit_code, 0) << made.err;
+  const auto poses = [&](const char* name) {
+    std::vector<protocol::PoseRecord> all;
+    std::ifstream in(dir_ / name, std::ios::binary);
+    protocol::CaptureReader reader(in);
+    protocol::CaptureRecord record;
+    while (reader.next(record) == protocol::CaptureReader::Status::Record) {
+      if (const auto* pose = std::get_if<protocol::PoseRecord>(&record)) all.push_back(*pose);
+    }
+    return all;
+  };
+  EXPECT_EQ(poses("b.capture").size(), 100u);
+  EXPECT_TRUE(poses("b.capture") == poses("a.capture"));
+}
+
 TEST_F(Incise, InfoSumsTheMotionOfEachHolder) {
   constexpr std::int64_t kMs = 1'000'000;
   const double nan = std::numeric_limits<double>::quiet_NaN();

@@ -179,7 +179,7 @@ namespace {
 loop::JournalRecord record_of(const MotionEvent& event, const Config& config) {
   loop::JournalRecord record;
   record.source = event.source;
-  record.arrival_ns = event.pose.t_ns;
+  record.arrival_ns = event.arrival_ns;
   record.pose = event.pose;
   switch (event.kind) {
     case MotionEvent::Kind::kPose:
