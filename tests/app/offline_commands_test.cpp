@@ -1388,6 +1388,21 @@ TEST_F(Incise, InfoKnowsWhatAFileIs) {
   EXPECT_TRUE(facts("again.glb")["fillable"]);
   write("c.json", "{}");
   EXPECT_EQ(facts("c.json")["kind"], "configuration");
+  write("relay.json", R"({"relay": {"upstream": "127.0.0.1:7450"}})");
+  EXPECT_EQ(facts("relay.json")["kind"], "configuration of incise-relay");
+  EXPECT_EQ(facts("relay.json")["follows"], "127.0.0.1:7450");
+  write("relay2.json", R"({"relay": {"upstraem": "127.0.0.1:7450"}})");
+  expect_error(run({"info", "relay2.json"}), 1,
+               {"relay2.json: unknown key \"relay.upstraem\"", "upstream_http_port"});
+  write("spec.json", R"({"bodies": ["a.vtu", "b.vtu"], "motions": ["m.csv"]})");
+  EXPECT_EQ(facts("spec.json")["kind"], "specification of incise sweep");
+  EXPECT_EQ(facts("spec.json")["bodies"], 2);
+  write("manifest.json", R"({"format": 1, "spec": {}, "samples": 9, "complete": true, "shards": []})");
+  EXPECT_EQ(facts("manifest.json")["kind"], "manifest of a data set of incise sweep");
+  EXPECT_EQ(facts("manifest.json")["samples"], 9);
+  write("notes.txt", "what else there is\n");
+  expect_error(run({"info", "notes.txt"}), 1,
+               {"not a file that incise knows", "checkpoint", "incise-relay", "device profile", "report"});
   for (const char* file : {"cube", "sweep.csv", "a.capture", "slab.stl", "slab.glb", "c.json"}) {
     EXPECT_EQ(run({"info", file}).exit_code, 0) << file;
   }

@@ -280,14 +280,24 @@ Json describe_config(const fs::path& file) {
           {"values", Json::parse(compact(config))}};
 }
 
+Json describe_relay_config(const fs::path& file) {
+  const Config config = load_config(file, Program::kRelay);
+  std::string upstreams;
+  for (const Config::Relay::Session& session : config.relay.all(config.listen))
+    upstreams += (upstreams.empty() ? "" : ", ") + session.upstream;
+  return {{"kind", "configuration of incise-relay"},
+          {"follows", upstreams.empty() ? "none" : upstreams},
+          {"for", "incise-relay --check " + file.string() + ", which says more"}};
+}
+
 std::string known_files() {
   return "a mesh (" + std::string(mesh_io::mesh_file_endings()) + ", .veg), a surface (" +
          std::string(mesh_io::surface_input_endings()) +
          ", .vtp), a volume image (.nrrd, .nhdr, .nii, .nii.gz), a motion (TUM lines t x y z qx qy qz qw, or "
-         "CSV with the header t_s,x_m,y_m,z_m...), a "
-         "capture, "
-         "or a "
-         "configuration";
+         "CSV with the header t_s,x_m,y_m,z_m...), a capture or its checkpoint, a configuration of incised "
+         "or "
+         "incise-relay, a device profile, a report of incise cut, or the specification or manifest.json of "
+         "incise sweep";
 }
 
 Json describe_checkpoint(const loop::Checkpoint& checkpoint) {
@@ -317,6 +327,17 @@ Json describe_contents(const fs::path& file) {
       return {{"kind", "device profile"}, {"name", input::load_profile(file).name}};
     }
     if (json.is_object() && json.contains("state_hash")) return {{"kind", "report of incise cut"}};
+    if (json.is_object() && json.contains("relay")) return describe_relay_config(file);
+    if (json.is_object() && json.contains("shards") && json.contains("spec")) {
+      return {{"kind", "manifest of a data set of incise sweep"},
+              {"samples", json.value("samples", Json())},
+              {"complete", json.value("complete", Json())}};
+    }
+    if (json.is_object() && json.contains("bodies") && json.contains("motions")) {
+      return {{"kind", "specification of incise sweep"},
+              {"bodies", json["bodies"].size()},
+              {"motions", json["motions"].size()}};
+    }
     return describe_config(file);
   }
   try {
