@@ -94,10 +94,10 @@ struct RecordReader {
   }
   void operator()(const protocol::EndRecord&) {}
 
-  // "12 poses, up to revision 3"
+  // "12 poses, with marks up to revision 3". The poses may lead on to more: a mark comes after its batch is cut.
   std::string text() const {
     const std::size_t poses = motion.poses();
-    return std::to_string(poses) + (poses == 1 ? " pose" : " poses") + ", up to revision " +
+    return std::to_string(poses) + (poses == 1 ? " pose" : " poses") + ", with marks up to revision " +
            std::to_string(motion.marks.empty() ? 0 : motion.marks.back().revision);
   }
 

@@ -1221,7 +1221,7 @@ TEST_F(Incise, WhatIsBeforeTheDamageOfACaptureIsUsedWhereThatIsAskedFor) {
   EXPECT_LT(facts["poses"], json::parse(all.out)["poses"]);
   const auto poses = std::to_string(facts["poses"].get<int>());
   EXPECT_NE(result.err.find("warning: damaged.capture: damaged (offset "), std::string::npos) << result.err;
-  EXPECT_NE(result.err.find("what is before is used: " + poses + " poses, up to revision "),
+  EXPECT_NE(result.err.find("what is before is used: " + poses + " poses, with marks up to revision "),
             std::string::npos)
       << result.err;
   // The revision before the damage is the same in either; a capture made of what is left is whole.
