@@ -720,6 +720,9 @@ TEST_F(Incise, CutComparesThePolicies) {
   EXPECT_EQ(json::parse(run(alone).out)["state_hash"], reports[3]["state_hash"]);
   const RunResult table = run(compare);
   EXPECT_NE(table.out.find("croll   no-growth    balanced       exact"), std::string::npos) << table.out;
+  auto with_prefer = compare;
+  with_prefer.insert(with_prefer.end(), {"--prefer", "exact"});
+  expect_error(run(with_prefer), 2, {"--policy compare cuts with every --prefer"});
   auto with_out = compare;
   with_out.insert(with_out.end(), {"--out", "out.vtu"});
   expect_error(run(with_out), 2, {"--policy compare writes no mesh", "--out"});
@@ -1595,6 +1598,10 @@ TEST_F(Incise, DoctorNamesWhatIsInTheWayAndTheRemedy) {
     EXPECT_EQ(findings[what]["verdict"], "fault") << bad.out;
     EXPECT_NE(findings[what]["found"].get<std::string>().find(found), std::string::npos) << bad.out;
     EXPECT_TRUE(findings[what].contains("remedy")) << bad.out;
+  }
+  if (findings["real-time priority"]["verdict"] == "good") {  // no advice to get what is granted
+    EXPECT_EQ(findings["wake-ups at 1 kHz"].value("remedy", "").find("real-time"), std::string::npos)
+        << bad.out;
   }
   for (const char* what : {"configuration", "clock", "listen.http_port", "incise-tetgen"}) {
     EXPECT_EQ(findings[what]["verdict"], "good") << what << ": " << bad.out;

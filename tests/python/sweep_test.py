@@ -59,6 +59,17 @@ class Sweep(unittest.TestCase):
         spec = self.spec(bodies=[{"phantom": "slab", "tets": 800}], motions=[{"random_cuts": 1, "seed": 5}], parameters={}, store=["states"])
         self.assertRegex(self.run_sweep(spec, "--out", self.folder / "one"), r"^1 sample in 1 shard; 1 made now in [\d.]+ s\n$")
 
+    def test_a_sample_that_is_written_is_named(self):
+        body = incise.Body.phantom("slab", 800)
+        incise.Body(body.points, body.tets, vertex_fields={"heat": body.points[:, 0]}).save(self.folder / "body.vtu")
+        spec = self.spec(bodies=[str(self.folder / "body.vtu")], motions=[{"random_cuts": 1, "seed": 5}], parameters={})
+        out = self.folder / "s3.msh"
+        with self.start(spec, "--sample", "0", "--out", out) as process:
+            printed, errors = process.communicate(timeout=100)
+        self.assertTrue(printed.endswith(f"; written to {out}\n"), printed)
+        self.assertEqual(errors, f"warning: {out}: is without the body's fields (heat); .vtu and .vtk have them\n")
+        self.assertTrue(out.exists())
+
     def start(self, *arguments):
         return subprocess.Popen([BUILD / "bin/incise", "sweep", *map(str, arguments)], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
                                 text=True)

@@ -493,7 +493,8 @@ def main(arguments: list[str] | None = None) -> int:
             result = {key: json.loads(attributes[key]) for key in ("body", "motion", "parameters", "report")}
             print(json.dumps(result, indent=2) if options.json else
                   f"sample {options.sample}: {attributes['body']} {attributes['motion']} {attributes['parameters']}: "
-                  f"{result['report']['pieces']} pieces, state hash {attributes['state_hash']}")
+                  f"{result['report']['pieces']} pieces, state hash {attributes['state_hash']}" +
+                  (f"; written to {options.out}" if options.out else ""))
         else:
             figures = sweep(options.spec, options.out, options.workers, options.dask)
             print(json.dumps(figures, indent=2) if options.json else

@@ -142,6 +142,8 @@ int run_cut(const CutCommand& command) {
     throw client::UsageError("--out is required: where the cut mesh goes");
   if (compares && !command.out.empty())
     throw client::UsageError("--policy compare writes no mesh: leave out --out, or name one policy");
+  if (compares && !command.prefer.empty())
+    throw client::UsageError("--policy compare cuts with every --prefer: leave it out, or name one policy");
   require_outputs({{command.out, "--out", Output::Kind::kMesh}, {command.report, "--report"}},
                   {command.mesh, command.poses, command.config});
   std::vector<Json> reports;

@@ -81,16 +81,19 @@ Finding check_configuration(const DoctorCommand& command, Program program, Confi
   return {"configuration", Verdict::kGood, command.config.string() + ": good", ""};
 }
 
+// For the calling thread. 0: it has the loop's priority; else the error.
+int request_priority(const Config& config) {
+  sched_param wanted{};
+  wanted.sched_priority = static_cast<int>(config.loop.realtime_priority);
+  return pthread_setschedparam(pthread_self(), SCHED_FIFO, &wanted);
+}
+
 // Requests the priority in a thread that then ends: the only way to find out.
 Finding check_priority(const Config& config) {
   const int priority = static_cast<int>(config.loop.realtime_priority);
   if (priority == 0) return {"real-time priority", Verdict::kGood, "not asked for", ""};
   int error = 0;
-  std::thread([&] {
-    sched_param wanted{};
-    wanted.sched_priority = priority;
-    error = pthread_setschedparam(pthread_self(), SCHED_FIFO, &wanted);
-  }).join();
+  std::thread([&] { error = request_priority(config); }).join();
   const std::string text = "SCHED_FIFO " + std::to_string(priority);
   if (error == 0) return {"real-time priority", Verdict::kGood, text + " is granted", ""};
   return {"real-time priority", Verdict::kWarning,
@@ -135,9 +138,8 @@ Finding check_clock() {
   return {"clock", Verdict::kGood, found, ""};
 }
 
-// How late a thread of ordinary priority wakes from 200 sleeps of a millisecond: what the loop gets without real-time
-// priority.
-Finding check_wakeups() {
+// How late a thread wakes from 200 sleeps of a millisecond, at the loop's priority where that is granted.
+std::vector<double> late_wakeups_us() {
   std::vector<double> late_us;
   timespec at{};
   clock_gettime(CLOCK_MONOTONIC, &at);
@@ -151,12 +153,23 @@ Finding check_wakeups() {
                       static_cast<double>(now.tv_nsec - at.tv_nsec) * 1e-3);
   }
   std::sort(late_us.begin(), late_us.end());
+  return late_us;
+}
+
+Finding check_wakeups(const Config& config) {
+  std::vector<double> late_us;
+  bool real_time = false;
+  std::thread([&] {
+    real_time = config.loop.realtime_priority > 0 && request_priority(config) == 0;
+    late_us = late_wakeups_us();
+  }).join();
   char found[128];
   std::snprintf(found, sizeof found, "late by %.0f us (half of 200 times), at most %.0f us", late_us[100],
                 late_us[199]);
   if (late_us[199] < 1000) return {"wake-ups at 1 kHz", Verdict::kGood, found, ""};
   return {"wake-ups at 1 kHz", Verdict::kWarning, found,
-          "a real-time priority for the loop, less other work on this machine, or a kernel with PREEMPT_RT"};
+          std::string(real_time ? "" : "a real-time priority for the loop, ") +
+              "less other work on this machine, or a kernel with PREEMPT_RT"};
 }
 
 Finding check_processors(const Config& config) {
@@ -325,7 +338,7 @@ void examine_server(const Config& config, std::vector<Finding>& findings) {
   findings.push_back(check_priority(config));
   findings.push_back(check_memory(config));
   findings.push_back(check_clock());
-  findings.push_back(check_wakeups());
+  findings.push_back(check_wakeups(config));
   findings.push_back(check_processors(config));
   const bool running = incised_answers(config.listen.address, config.listen.http_port);
   findings.push_back(check_port("listen.tcp_port", config.listen.address, config.listen.tcp_port, running));
