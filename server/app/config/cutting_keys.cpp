@@ -49,7 +49,7 @@ ConfigKeys mesh_keys() {
            "Where filled surfaces are kept for the next start; \"\": ~/.cache/incise."),
       texts("mesh.fields", INCISE_FIELD(mesh.fields),
             "a list of texts \"NAME\", with \":N\" (2 to 9 numbers each), \":tets\" and \":int\" behind it",
-            "Fields for clients to set, beside those of the file, which stay as they are: floats on the "
+            "Fields for clients to set, beside those of the file, which they may set, too: floats on the "
             "vertices, "
             "0 at first, or as \"strain:6:tets\" says."),
       text("mesh.image", INCISE_FIELD(mesh.image), "a path, relative to this file; or \"\"",
