@@ -16,6 +16,7 @@
 
 #include "protocol/motion.hpp"
 #include "server/core/mesh/measure.hpp"
+#include "server/core/mesh/validate.hpp"
 #include "server/core/session/session_state.hpp"
 #include "server/mesh_io/mesh_io.hpp"
 #include "tests/oracle/hands.hpp"
@@ -549,6 +550,53 @@ TEST(MeetingBlades, TwoCloseALoopTogether) {
     wrong += !v.right();
   }
   EXPECT_EQ(wrong, 0);
+}
+
+// A cube of ten cells a side, with its inner vertices out of line.
+core::MeshData uneven_cube() {
+  core::MeshData cube = tests::cube(10);
+  Random random(1);
+  for (core::Vec3& p : cube.positions) {
+    const auto is_inside = [](double x) { return x > 0.001 && x < 0.099; };
+    if (is_inside(p.x) && is_inside(p.y) && is_inside(p.z))
+      p += random.uniform(0, 0.003) * random.direction();
+  }
+  return cube;
+}
+
+// Slices side by side, one blade somewhat behind the other: what this one moves may come through what the other has swept and has not parted yet.
+TEST(MeetingBlades, TwoCutSlicesSideBySideTogether) {
+  const core::MeshData cube = uneven_cube();
+  const Body cube_body(cube);
+  const double h = cube_body.h, reach = length(cube_body.high - cube_body.low);
+  int wrong[2] = {};  // in turn, together
+  for (std::uint64_t seed = 1; seed <= 100; ++seed) {
+    Random random(seed);
+    Meeting meeting{.kind = "slices", .seed = seed, .step_h = 0.05, .batch_h = 0.25};
+    meeting.blade = {{0, 0, 0}, {0, 0, 2 * reach}};
+    const Vec3 across = random.direction(), way = normalized(cross(across, random.direction()));
+    const Vec3 along = cross(across, way), middle = 0.5 * (cube_body.low + cube_body.high);
+    const double apart_h = random.uniform(0.4, 1.0);
+    std::int64_t t_ns = 0;
+    for (const double side : {-0.5, 0.5}) {
+      std::vector<core::Pose>& stroke = meeting.strokes.emplace_back();
+      for (double at_h = -reach / h - random.uniform(0, 3); at_h < reach / h; at_h += meeting.step_h) {
+        const Vec3 at = middle + h * (side * apart_h * across + at_h * way);
+        stroke.push_back(pose_along(at - reach * along, along));
+        stroke.back().t_ns = t_ns += 1'000'000;
+        stroke.back().buttons = 1;
+      }
+    }
+    for (const bool together : {false, true}) {
+      core::CutSession session(cube, meeting_config(meeting));
+      together ? cut_at_once(meeting, session) : cut(meeting, session);
+      EXPECT_EQ(core::validate(session.mesh()), "") << "seed " << seed;
+      wrong[together] += core::measure(session.mesh()).pieces != 3;
+    }
+  }
+  EXPECT_EQ(wrong[0], 0);
+  // Eight, where a blade does not look again at what another one has moved.
+  EXPECT_LE(wrong[1], 2);
 }
 
 // A coarse body, INCISE_DATA's meshes/wound_1476, with elements several times as long as the mean.

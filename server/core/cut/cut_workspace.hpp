@@ -14,6 +14,8 @@
 
 namespace incise::core {
 
+class ActiveSet;
+
 // Marks for each vertex and each tetrahedron that the blades of one mesh share: sized to the mesh once, then grown
 // with it, never cleared. A mark holds when it equals the number of the stroke, the pass or the collection that asks.
 struct CutWorkspace {
@@ -98,6 +100,7 @@ struct CutWorkspace {
   HeldFaces necks;  // the same, or less is known of them: what was swept has to part their sides
   std::vector<VertexMarks> vertices;
   std::vector<TetMarks> tets;
+  std::vector<ActiveSet*> active_sets;  // of all blades
   std::uint32_t serial = 0;  // the last number that was given to a pass, a scan or a collection
 };
 

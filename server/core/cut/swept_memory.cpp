@@ -12,7 +12,7 @@ namespace {
 // A quad goes on as far as this many chords, while it stays this near, in chords, to what was swept.
 constexpr double kMostChords = 5, kOffChords = 0.1;
 // Of a coordinate: more than the rounding of a sum of three products of it.
-constexpr double kRounded = 1e-14;
+constexpr double kRoundedSlab = 1e-14;
 constexpr double kDoesNotGoOn_m = std::numeric_limits<double>::infinity();
 
 // How far a line that a blade came by is beside the quad from one line to another.
@@ -123,7 +123,7 @@ std::array<SweptMemory::Slab, 2> SweptMemory::slabs_of(std::span<const Quad> qua
   if (squared_length(sum) > 0) slabs[0].axis = normalized(sum);
   const Vec3 motion = cross(slabs[0].axis, first);
   if (squared_length(motion) > 0) slabs[1].axis = normalized(motion);
-  const double rounded_m = kRounded * (length(around.low) + length(around.high));
+  const double rounded_m = kRoundedSlab * (length(around.low) + length(around.high));
   for (Slab& slab : slabs) {
     slab.low = std::numeric_limits<double>::infinity();
     slab.high = -slab.low;

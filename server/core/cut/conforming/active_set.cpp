@@ -4,9 +4,39 @@ namespace incise::core {
 
 using namespace tolerance;
 
-void ActiveSet::append(TetId t) {
+void ActiveSet::tell_others(VertexId v, const Vec3& from) {
+  if (cut_.workspace.active_sets.size() == 1) return;
+  for (ActiveSet* other : cut_.workspace.active_sets) {
+    if (other == this || other->entries_.empty()) continue;
+    const std::uint32_t batch = other->first_batch_between(from, cut_.mesh.position(v));
+    if (batch == kNone) continue;
+    const double since_m = other->cut_.path.travel_before_m(batch);
+    cut_.mesh.star(v, star_);
+    cut_.work.add(star_.size(), cost::kStarCornersAUnit);
+    for (const Corner corner : star_) {
+      if (!other->has(tet_of(corner))) other->append(tet_of(corner), since_m);
+    }
+  }
+}
+
+// Of the batches whose surface lies between two points the first one; kNone: none does.
+std::uint32_t ActiveSet::first_batch_between(const Vec3& a, const Vec3& b) const {
+  std::uint32_t first = kNone;
+  const SweptSurface& surface = cut_.surface();
+  cut_.work += cost::kFindCrossing;
+  surface.any_between(Points<2>({a, b}), cut_.clear_m, [&](std::uint32_t i) {
+    const SweptTriangle& triangle = surface[i];
+    double at;
+    if (crosses(a, b, triangle.signed_distance(a), triangle.signed_distance(b), triangle, cut_.clear_m, at))
+      first = std::min(first, triangle.batch);
+    return false;
+  });
+  return first;
+}
+
+void ActiveSet::append(TetId t, double since_m) {
   cut_.workspace.tets[t].active = cut_.stroke;
-  entries_.push_back({t, cut_.path.travel_before_batch_m(), 0});
+  entries_.push_back({t, since_m, 0});
   for (VertexId v : cut_.mesh.vertices(t)) widest_m_ = std::max(widest_m_, cut_.mesh.local_h(v));
 }
 

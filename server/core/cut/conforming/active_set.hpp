@@ -17,12 +17,16 @@ class ActiveSet {
     double ripe_at_m;  // while the blade has travelled less in this stroke, it waits for certain
   };
 
-  explicit ActiveSet(CutContext& cut) : cut_(cut) {}
+  explicit ActiveSet(CutContext& cut) : cut_(cut) { cut.workspace.active_sets.push_back(this); }
+  ActiveSet(const ActiveSet&) = delete;
 
   bool has(TetId t) const { return cut_.workspace.tets[t].active == cut_.stroke; }
   void add(TetId t) {
-    if (!has(t)) append(t);
+    if (!has(t)) append(t, cut_.path.travel_before_batch_m());
   }
+  // A vertex has been moved: where it has come through what another blade has swept and not parted yet, its edges cross that now, and that blade
+  // has to look at its tetrahedra again.
+  void tell_others(VertexId v, const Vec3& from);
   void clear() {
     entries_.clear();
     widest_m_ = 0;
@@ -64,12 +68,14 @@ class ActiveSet {
   double& widest_m() { return widest_m_; }
 
  private:
-  void append(TetId t);
+  std::uint32_t first_batch_between(const Vec3& a, const Vec3& b) const;
+  void append(TetId t, double since_m);
 
   CutContext& cut_;
   std::vector<Entry> entries_;
-  double widest_m_ = 0;     // the largest local mesh width at any of this stroke's
-  std::uint32_t scan_ = 0;  // its serial
+  double widest_m_ = 0;       // the largest local mesh width at any of this stroke's
+  std::uint32_t scan_ = 0;    // its serial
+  std::vector<Corner> star_;  // scratch
   std::vector<TetId> prefetched_;
 };
 

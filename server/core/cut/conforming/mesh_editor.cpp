@@ -26,6 +26,7 @@ void MeshEditor::snap(const VertexStar& star, VertexId v, const Vec3& target) {
 void MeshEditor::snap(const VertexStar& star, VertexId v, const Vec3& target, double worst,
                       std::span<const TetId> flat) {
   mesh_.move_vertex(v, target);
+  active_.tell_others(v, star.position());
   ++cut_.workspace.vertices[v].moves;
   cut_.workspace.vertices[v].surface = cut_.stroke;
   cut_.workspace.vertices[v].batch = cut_.batch;
@@ -66,6 +67,7 @@ void MeshEditor::stand(VertexId v) {
 
 void MeshEditor::move(const VertexStar& star, VertexId v, const Vec3& target) {
   mesh_.move_vertex(v, target);
+  active_.tell_others(v, star.position());
   ++cut_.workspace.vertices[v].moves;
   judge_again(star, v);
   for (const VertexStar::Corner& c : star.corners()) may_move_again(mesh_.vertices(c.tet));
@@ -119,6 +121,7 @@ void MeshEditor::collapse(const VertexStar& star, TetId t, VertexId v, VertexId 
   mesh_.ring(t, v, w, ring_);
   for (TetId& r : ring_) r = mesh_.neighbor(r, mesh_.local_index(r, v));
   mesh_.collapse(t, v, w);
+  active_.tell_others(w, star.position());
   // What lay across from v may lie at the boundary now.
   for (TetId r : ring_) {
     if (r != kNone) enter(r);

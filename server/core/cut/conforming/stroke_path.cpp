@@ -201,6 +201,8 @@ void StrokePath::archive_surface(Archive& io) {
   });
   io.demand(way_.size() <= kMaxWayLines, "more lines than a way is followed by");
   surface_.archive(io);
+  // Another blade may ask what it crosses before the next batch of this one.
+  if (io.reads() && !io.failed()) surface_.build();
 }
 
 void StrokePath::archive_travel(Archive& io, double& widest_m) {
