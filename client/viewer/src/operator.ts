@@ -28,7 +28,9 @@ export class Operator {
   private openTimer: ReturnType<typeof setTimeout> | undefined;
   private openIsChosen = false;
   private newBladeTimer: ReturnType<typeof setTimeout> | undefined;
+  private liveOpen = 0; // while a recording is shown: where the live body's Open was
   private removeReplayNotice = () => {};
+  private removeStalledNotice = () => {};
   private held = false; // we have the blade: after a break it is taken back
   private strokesTried = 0; // for the hints
   private strokeArea_m2 = 0; // cut by the current or last stroke
@@ -137,8 +139,13 @@ export class Operator {
     this.replaying = on;
     if (!on) {
       this.removeReplayNotice();
+      if (!this.openIsChosen) {
+        input("open").valueAsNumber = this.liveOpen;
+        this.showOpen();
+      }
       return this.setTool("cut");
     }
+    this.liveOpen = input("open").valueAsNumber;
     this.setTool("turn");
     this.send({ kind: "release-blade" });
     document.body.dataset.blade = "ended";
@@ -197,7 +204,7 @@ export class Operator {
     const before = this.mouse.cutting;
     this.mouse.enabled = this.tool === "cut" && this.bladeStage === "open" && this.viewStage === "open";
     this.stage.marks.draw(); // the preview
-    if (this.mouse.enabled) return;
+    if (this.mouse.enabled) return this.removeStalledNotice();
     this.mouse.cancel();
     if (before && this.tool === "cut" && !this.replaying) {
       notice("The server does not answer. Your stroke ends here; the last second of it may still be cut.");
@@ -206,8 +213,9 @@ export class Operator {
 
   private sayWhyNot(): void {
     if (this.tool !== "cut") return;
-    if (this.viewStage === "open" && (this.bladeStage === "connecting" || this.bladeStage === "ended")) return;
-    notice("The server does not answer. Nothing is cut until it does.");
+    const stages = [this.viewStage, this.bladeStage];
+    if (!stages.includes("stalled") && !stages.includes("waiting")) return;
+    this.removeStalledNotice = notice("The server does not answer. Nothing is cut until it does.");
   }
 
   private beginStroke(): void {

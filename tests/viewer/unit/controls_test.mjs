@@ -464,9 +464,20 @@ test("while the server does not answer the stroke in hand ends, and no other beg
     assert.equal(poses(), before + 1);
     assert.ok(noticeTexts().some((text) => text.includes("Nothing is cut until it does")));
     hands[stall]({ stage: "open", text: "" });
+    assert.ok(!noticeTexts().some((text) => text.includes("Nothing is cut until it does")));
     draw();
     assert.ok(poses() > before + 1);
   }
+});
+
+test("before the page has found the server a stroke says nothing of one that does not answer", () => {
+  byId("notices").replaceChildren();
+  const { hands, draw, letGo } = operator();
+  hands.onViewLink({ stage: "connecting", text: "Connecting to the server…" });
+  byId("notices").replaceChildren();
+  draw();
+  letGo();
+  assert.deepEqual(noticeTexts(), []);
 });
 
 test("a stroke that cut nothing is said to have, when the server has cut it", () => {
@@ -566,6 +577,21 @@ test("a simulation closes Open, unless the hand has set it", () => {
   byId("open").valueAsNumber = 0.5;
   byId("open").dispatchEvent({ type: "input" });
   others.onDeforms();
+  assert.equal(byId("open").valueAsNumber, 0.5);
+});
+
+test("after a recording Open is where the live body had it", () => {
+  const { hands } = operator();
+  byId("open").valueAsNumber = 0.3;
+  hands.onReplay(true);
+  hands.onDeforms();
+  assert.equal(byId("open").valueAsNumber, 0);
+  hands.onReplay(false);
+  assert.equal(byId("open").valueAsNumber, 0.3);
+  hands.onReplay(true);
+  byId("open").valueAsNumber = 0.5;
+  byId("open").dispatchEvent({ type: "input" }); // chosen
+  hands.onReplay(false);
   assert.equal(byId("open").valueAsNumber, 0.5);
 });
 
