@@ -18,6 +18,9 @@ struct ContentHash::State {
 ContentHash::ContentHash() : state_(std::make_unique<State>()) {
   INCISE_CHECK(EVP_DigestInit_ex(state_->context, EVP_sha256(), nullptr) == 1);
 }
+ContentHash::ContentHash(const ContentHash& other) : state_(std::make_unique<State>()) {
+  INCISE_CHECK(EVP_MD_CTX_copy_ex(state_->context, other.state_->context) == 1);
+}
 ContentHash::~ContentHash() = default;
 
 void ContentHash::add(const void* bytes, std::size_t count) {

@@ -13,7 +13,8 @@ class ContentHash {
  public:
   ContentHash();
   ~ContentHash();
-  ContentHash(const ContentHash&) = delete;
+  // Goes on from what the other one has.
+  ContentHash(const ContentHash& other);
   ContentHash& operator=(const ContentHash&) = delete;
 
   void add(const void* bytes, std::size_t count);

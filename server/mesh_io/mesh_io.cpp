@@ -180,10 +180,16 @@ bool has_regions(const core::MeshData& mesh) {
   return std::ranges::any_of(mesh.regions, [](std::int32_t region) { return region != 0; });
 }
 
-std::string hash_of(const core::MeshData& mesh, const std::vector<std::int32_t>& regions) {
+// What nearly all of the time goes to.
+ContentHash hash_of_shape(const core::MeshData& mesh) {
   ContentHash hash;
   hash.add(mesh.positions);
   hash.add(mesh.tets);
+  return hash;
+}
+
+std::string hash_with(const std::vector<std::int32_t>& regions, const core::MeshData& mesh,
+                      ContentHash hash) {
   hash.add(regions);
   // So that all others keep their hash.
   if (!mesh.cut_masks.empty()) hash.add(mesh.cut_masks);
@@ -194,12 +200,14 @@ std::string hash_of(const core::MeshData& mesh, const std::vector<std::int32_t>&
 }  // namespace
 
 std::string mesh_hash(const core::MeshData& mesh) {
-  return hash_of(mesh, has_regions(mesh) ? mesh.regions : std::vector<std::int32_t>{});
+  return hash_with(has_regions(mesh) ? mesh.regions : std::vector<std::int32_t>{}, mesh, hash_of_shape(mesh));
 }
 
 void LoadedMesh::hash() {
-  content_hash = mesh_hash(mesh);
-  zeros_hash_ = has_regions(mesh) ? "" : hash_of(mesh, std::vector<std::int32_t>(mesh.tets.size()));
+  const ContentHash shape = hash_of_shape(mesh);
+  const bool regions = has_regions(mesh);
+  content_hash = hash_with(regions ? mesh.regions : std::vector<std::int32_t>{}, mesh, shape);
+  zeros_hash_ = regions ? "" : hash_with(std::vector<std::int32_t>(mesh.tets.size()), mesh, shape);
 }
 
 void write_mesh(const std::filesystem::path& path, std::span<const core::Vec3> positions,
