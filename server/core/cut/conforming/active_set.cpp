@@ -1,12 +1,19 @@
 #include "server/core/cut/conforming/active_set.hpp"
 
+#include <algorithm>
+
 namespace incise::core {
 
 using namespace tolerance;
 
 void ActiveSet::tell_others(VertexId v, const Vec3& from) {
-  if (cut_.workspace.active_sets.size() == 1) return;
-  for (ActiveSet* other : cut_.workspace.active_sets) {
+  std::vector<ActiveSet*>& sets = cut_.workspace.active_sets;
+  if (sets.size() == 1) return;
+  // A tetrahedron's mark is that of the last one that takes it: in an order that a session goes on with from a checkpoint.
+  std::sort(sets.begin(), sets.end(), [](const ActiveSet* one, const ActiveSet* other) {
+    return one->cut_.stroke < other->cut_.stroke;
+  });
+  for (ActiveSet* other : sets) {
     if (other == this || other->entries_.empty()) continue;
     const std::uint32_t batch = other->first_batch_between(from, cut_.mesh.position(v));
     if (batch == kNone) continue;
