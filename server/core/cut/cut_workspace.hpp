@@ -101,7 +101,7 @@ struct CutWorkspace {
   std::vector<VertexMarks> vertices;
   std::vector<TetMarks> tets;
   std::vector<ActiveSet*> active_sets;  // of all blades
-  std::uint32_t serial = 0;  // the last number that was given to a pass, a scan or a collection
+  std::uint32_t serial = 0;             // the last number that was given to a pass, a scan or a collection
 };
 
 // A pass over tetrahedra that knows which it has, without clearing marks: each search, scan or verification has its own.
