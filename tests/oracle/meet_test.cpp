@@ -599,6 +599,41 @@ TEST(MeetingBlades, TwoCutSlicesSideBySideTogether) {
   EXPECT_LE(wrong[1], 2);
 }
 
+// Two cuts from opposite sides that overlap, each by a blade that comes in and goes back the way it came, the second one 0.2 h beside the first: within a
+// quarter of an element what the two have swept is one.
+TEST(MeetingTurns, TwoCutsFromWhichTheBladeWentBackPartTheBody) {
+  const core::MeshData cube = uneven_cube();
+  const Body cube_body(cube);
+  const double h = cube_body.h, reach = length(cube_body.high - cube_body.low);
+  int wrong = 0;
+  for (std::uint64_t seed = 1; seed <= 30; ++seed) {
+    Random random(seed);
+    Meeting meeting{.kind = "turns", .seed = seed, .step_h = 0.05, .batch_h = 0.25};
+    meeting.blade = {{0, 0, 0}, {0, 0, 2 * reach}};
+    const Vec3 across = random.direction(), way = normalized(cross(across, random.direction()));
+    const Vec3 along = cross(across, way), middle = 0.5 * (cube_body.low + cube_body.high);
+    const double overlap_h = random.uniform(0.2, 1.2), off_h = random.uniform(0, 0.2);
+    std::int64_t t_ns = 0;
+    for (const double side : {-1.0, 1.0}) {
+      std::vector<core::Pose>& stroke = meeting.strokes.emplace_back();
+      const auto at = [&](double way_h) {
+        stroke.push_back(pose_along(
+            middle + h * ((side > 0 ? off_h : 0) * across - side * way_h * way) - reach * along, along));
+        stroke.back().t_ns = t_ns += 1'000'000;
+        stroke.back().buttons = 1;
+      };
+      const int steps = static_cast<int>((reach / h + overlap_h / 2) / meeting.step_h);
+      for (int i = 0; i <= steps; ++i) at(-reach / h + i * meeting.step_h);
+      for (int i = steps; i >= 0; --i) at(-reach / h + i * meeting.step_h);
+    }
+    core::CutSession session(cube, meeting_config(meeting));
+    cut(meeting, session);
+    EXPECT_EQ(core::validate(session.mesh()), "") << "seed " << seed;
+    wrong += core::measure(session.mesh()).pieces == 2 ? 0 : 1;
+  }
+  EXPECT_EQ(wrong, 0);
+}
+
 // A coarse body, INCISE_DATA's meshes/wound_1476, with elements several times as long as the mean.
 class MeetingInACoarseBody : public testing::Test {
  protected:

@@ -17,7 +17,7 @@ struct SweepEnd {
   static constexpr std::uint32_t kMaxParts = 64;
 
   std::uint32_t stroke = 0;
-  double travel_m = 0;  // of the blade in that stroke, then
+  double travel_m = 0;  // of the blade in that stroke, then; infinity where it turned back
   std::array<BladeLine, kMaxLines>
       lines;  // the first one is where it ended, the others follow the sweep from there
   std::array<LineAnchor, kMaxLines> anchors{};

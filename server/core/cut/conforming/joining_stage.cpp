@@ -14,6 +14,9 @@ namespace {
 // Where no wall is within reach: how far ahead it is.
 constexpr double kNoWall = -std::numeric_limits<double>::infinity();
 
+// SweepEnd::travel_m of one that its own stroke passes over.
+constexpr double kNeverOwn_m = std::numeric_limits<double>::infinity();
+
 // Which way the blade moves, across itself: a unit vector, or 0 where it moves along itself, or hardly at all.
 Vec3 direction_of(const BladeLine& from, const BladeLine& to) {
   const Vec3 motion = (to.heel - from.heel) + (to.tip - from.tip);
@@ -66,6 +69,7 @@ void JoiningStage::begin(const Batch& batch) {
       list(from, -direction);
       begin_strip(from);
     }
+    if (sweeps && swept && turns_back(from, direction)) keep_turn(from);
     if (sweeps) {
       follow_strip(to);
       swept_.push_back({from.heel, from.tip, to.tip});
@@ -224,10 +228,31 @@ void JoiningStage::follow_strip(const BladeLine& line) {
 }
 
 void JoiningStage::keep_beginning() {
-  const Box tissue = cut_.near_tissue();
-  cut_.workspace.ends.add(cut_.stroke, cut_.path.travel_m(), strip_.data(), strip_.size(),
-                          kJoinPart_h * cut_.h, tissue.low, tissue.high);
+  keep(strip_, cut_.path.travel_m());
   begins_ = false;
+}
+
+void JoiningStage::keep(std::span<const BladeLine> lines, double travel_m) {
+  const Box tissue = cut_.near_tissue();
+  cut_.workspace.ends.add(cut_.stroke, travel_m, lines.data(), lines.size(), kJoinPart_h * cut_.h, tissue.low,
+                          tissue.high);
+}
+
+// Whether the sweep goes back from this line, to which it had come straight for some way: a hand that trembles turns after less.
+bool JoiningStage::turns_back(const BladeLine& line, const Vec3& direction) const {
+  if (dot(direction, direction_) > kTurnsBack) return false;
+  for (std::size_t i = strip_.size(); i > 0; --i) {
+    if (travel(strip_[i - 1], line) >= kTurnsBackAfter_h * cut_.h) return true;
+    if (i > 1 && dot(direction_of(strip_[i - 2], strip_[i - 1]), direction_) <= 0) return false;
+  }
+  return false;
+}
+
+// There it ends for what another stroke sweeps, as where the blade leaves the tissue. This stroke comes by again and again where a hand goes to and fro.
+void JoiningStage::keep_turn(const BladeLine& line) {
+  std::vector<BladeLine> lines(strip_.rbegin(), strip_.rend());
+  if (lines.front() != line) lines.insert(lines.begin(), line);
+  if (lines.size() > 1) keep(lines, kNeverOwn_m);
 }
 
 void JoiningStage::end_strip(const BladeLine& line) {

@@ -2,6 +2,7 @@
 
 #include <array>
 #include <cstddef>
+#include <span>
 #include <vector>
 
 #include "server/core/cut/conforming/cut_context.hpp"
@@ -67,6 +68,9 @@ class JoiningStage {
   void follow_strip(const BladeLine& line);
   void end_strip(const BladeLine& line);
   void keep_beginning();
+  void keep(std::span<const BladeLine> lines, double travel_m);
+  bool turns_back(const BladeLine& line, const Vec3& direction) const;
+  void keep_turn(const BladeLine& line);
   bool comes_near(const SweepEnd& end) const;
   bool is_in_reach(const Vec3& low, const Vec3& high) const;
   void take_up(SweepEnd& end, std::uint32_t part);

@@ -88,6 +88,8 @@ inline constexpr double kAimOff_h = 0.1;
 // What is kept of a sweep where it begins or ends: so wide a strip, of lines that are so far apart. Where no face of a cut is this near to it,
 // the tissue hangs together across it.
 inline constexpr double kStrip_h = 3, kStripStep_h = 0.2, kOpen_h = 0.1;
+// A sweep that goes back the way it came, so far, ends there as well: the cosine between the two ways.
+inline constexpr double kTurnsBack = -0.8, kTurnsBackAfter_h = 1;
 // Strips narrower than this part of kJoinBeyond_h are not added.
 inline constexpr double kLeastJoin = 0.1;
 // A sweep goes on beyond the way of a heel or a tip where it covers, to within kCovered_h, what is kBeyondRow_h beyond that, and not what is kRow_h before
