@@ -564,34 +564,57 @@ core::MeshData uneven_cube() {
   return cube;
 }
 
+// Strokes through it by a long blade, in planes that lie side by side, anywhere.
+struct StrokesThroughCube {
+  StrokesThroughCube(const Body& body, Random& random)
+      : h(body.h),
+        reach_h(length(body.high - body.low) / body.h),
+        middle(0.5 * (body.low + body.high)),
+        across(random.direction()),
+        way(normalized(cross(across, random.direction()))),
+        along(cross(across, way)) {
+    meeting.step_h = 0.05;
+    meeting.batch_h = 0.25;
+    meeting.blade = {{0, 0, 0}, {0, 0, 2 * h * reach_h}};
+  }
+  void begin_stroke() { meeting.strokes.emplace_back(); }
+  // The blade's middle: so far beside the cube's middle, and so far along the way.
+  void go_to(double aside_h, double way_h) {
+    core::Pose pose = pose_along(middle + h * (aside_h * across + way_h * way - reach_h * along), along);
+    pose.t_ns = t_ns += 1'000'000;
+    pose.buttons = 1;
+    meeting.strokes.back().push_back(pose);
+  }
+
+  const double h, reach_h;
+  const Vec3 middle, across, way, along;
+  Meeting meeting;
+  std::int64_t t_ns = 0;
+};
+
+std::uint32_t pieces_of_valid(const core::CutSession& session) {
+  EXPECT_EQ(core::validate(session.mesh()), "");
+  return core::measure(session.mesh()).pieces;
+}
+
 // Slices side by side, one blade somewhat behind the other: what this one moves may come through what the other has swept and has not parted yet.
 TEST(MeetingBlades, TwoCutSlicesSideBySideTogether) {
   const core::MeshData cube = uneven_cube();
   const Body cube_body(cube);
-  const double h = cube_body.h, reach = length(cube_body.high - cube_body.low);
   int wrong[2] = {};  // in turn, together
   for (std::uint64_t seed = 1; seed <= 100; ++seed) {
     Random random(seed);
-    Meeting meeting{.kind = "slices", .seed = seed, .step_h = 0.05, .batch_h = 0.25};
-    meeting.blade = {{0, 0, 0}, {0, 0, 2 * reach}};
-    const Vec3 across = random.direction(), way = normalized(cross(across, random.direction()));
-    const Vec3 along = cross(across, way), middle = 0.5 * (cube_body.low + cube_body.high);
+    StrokesThroughCube strokes(cube_body, random);
     const double apart_h = random.uniform(0.4, 1.0);
-    std::int64_t t_ns = 0;
     for (const double side : {-0.5, 0.5}) {
-      std::vector<core::Pose>& stroke = meeting.strokes.emplace_back();
-      for (double at_h = -reach / h - random.uniform(0, 3); at_h < reach / h; at_h += meeting.step_h) {
-        const Vec3 at = middle + h * (side * apart_h * across + at_h * way);
-        stroke.push_back(pose_along(at - reach * along, along));
-        stroke.back().t_ns = t_ns += 1'000'000;
-        stroke.back().buttons = 1;
-      }
+      strokes.begin_stroke();
+      for (double at_h = -strokes.reach_h - random.uniform(0, 3); at_h < strokes.reach_h; at_h += 0.05)
+        strokes.go_to(side * apart_h, at_h);
     }
     for (const bool together : {false, true}) {
-      core::CutSession session(cube, meeting_config(meeting));
-      together ? cut_at_once(meeting, session) : cut(meeting, session);
-      EXPECT_EQ(core::validate(session.mesh()), "") << "seed " << seed;
-      wrong[together] += core::measure(session.mesh()).pieces != 3;
+      core::CutSession session(cube, meeting_config(strokes.meeting));
+      together ? cut_at_once(strokes.meeting, session) : cut(strokes.meeting, session);
+      wrong[together] += pieces_of_valid(session) != 3;
     }
   }
   EXPECT_EQ(wrong[0], 0);
@@ -599,37 +622,28 @@ TEST(MeetingBlades, TwoCutSlicesSideBySideTogether) {
   EXPECT_LE(wrong[1], 2);
 }
 
-// Two cuts from opposite sides that overlap, each by a blade that comes in and goes back the way it came, the second one 0.2 h beside the first: within a
-// quarter of an element what the two have swept is one.
+// Two cuts from opposite sides that overlap, each by a blade that comes in and goes back the way it came, the second one up to 0.2 h beside the first: within
+// a quarter of an element what the two have swept is one.
 TEST(MeetingTurns, TwoCutsFromWhichTheBladeWentBackPartTheBody) {
   const core::MeshData cube = uneven_cube();
   const Body cube_body(cube);
-  const double h = cube_body.h, reach = length(cube_body.high - cube_body.low);
   int wrong = 0;
   for (std::uint64_t seed = 1; seed <= 30; ++seed) {
     Random random(seed);
-    Meeting meeting{.kind = "turns", .seed = seed, .step_h = 0.05, .batch_h = 0.25};
-    meeting.blade = {{0, 0, 0}, {0, 0, 2 * reach}};
-    const Vec3 across = random.direction(), way = normalized(cross(across, random.direction()));
-    const Vec3 along = cross(across, way), middle = 0.5 * (cube_body.low + cube_body.high);
+    StrokesThroughCube strokes(cube_body, random);
     const double overlap_h = random.uniform(0.2, 1.2), off_h = random.uniform(0, 0.2);
-    std::int64_t t_ns = 0;
     for (const double side : {-1.0, 1.0}) {
-      std::vector<core::Pose>& stroke = meeting.strokes.emplace_back();
-      const auto at = [&](double way_h) {
-        stroke.push_back(pose_along(
-            middle + h * ((side > 0 ? off_h : 0) * across - side * way_h * way) - reach * along, along));
-        stroke.back().t_ns = t_ns += 1'000'000;
-        stroke.back().buttons = 1;
+      strokes.begin_stroke();
+      const int steps = static_cast<int>((strokes.reach_h + overlap_h / 2) / 0.05);
+      const auto go_to = [&](int i) {
+        strokes.go_to(side > 0 ? off_h : 0, side * (strokes.reach_h - i * 0.05));
       };
-      const int steps = static_cast<int>((reach / h + overlap_h / 2) / meeting.step_h);
-      for (int i = 0; i <= steps; ++i) at(-reach / h + i * meeting.step_h);
-      for (int i = steps; i >= 0; --i) at(-reach / h + i * meeting.step_h);
+      for (int i = 0; i <= steps; ++i) go_to(i);
+      for (int i = steps; i >= 0; --i) go_to(i);
     }
-    core::CutSession session(cube, meeting_config(meeting));
-    cut(meeting, session);
-    EXPECT_EQ(core::validate(session.mesh()), "") << "seed " << seed;
-    wrong += core::measure(session.mesh()).pieces == 2 ? 0 : 1;
+    core::CutSession session(cube, meeting_config(strokes.meeting));
+    cut(strokes.meeting, session);
+    wrong += pieces_of_valid(session) != 2;
   }
   EXPECT_EQ(wrong, 0);
 }
