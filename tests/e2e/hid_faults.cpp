@@ -6,6 +6,7 @@
 
 #include <CLI/CLI.hpp>
 #include <algorithm>
+#include <cerrno>
 #include <cmath>
 #include <csignal>
 #include <cstdio>
@@ -233,7 +234,8 @@ class Run {
   nlohmann::json stats() const {
     const std::string answer = stream::http(port_, "/stats");
     const auto body = answer.find("\r\n\r\n");
-    require(body != std::string::npos, "no /stats");
+    require(body != std::string::npos,
+            "no /stats: " + (answer.empty() ? std::string(std::strerror(errno)) : answer));
     return nlohmann::json::parse(answer.substr(body + 4));
   }
 

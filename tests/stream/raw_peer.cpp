@@ -106,6 +106,7 @@ std::string RawPeer::read_all(std::size_t enough) {
   char buffer[65536];
   while (out.size() < enough) {
     const ssize_t n = ::recv(fd_, buffer, sizeof buffer, 0);
+    if (n < 0 && errno == EINTR) continue;
     if (n <= 0) break;
     out.append(buffer, static_cast<std::size_t>(n));
   }
