@@ -260,7 +260,7 @@ than cut.gap_limit_s in the configuration begins a new stroke, and Cut.warnings 
 
 Takes one pose: t, x, y, z, qx, qy, qz, qw (seconds, metres, unit quaternion) of a blade (source 0 to 7). Returns "accepted", or
 why a new stroke began or the pose was rejected ("not finite or more than 10 km from the origin", "time not increasing"). Times
-rise from one to the next, in a clock that begins anew after cut(). Nothing is cut before advance().)")
+rise from one pose to the next; after cut() they may start at 0 again. Nothing is cut before advance().)")
       .def(
           "end_stroke",
           [](Session& self, std::int64_t source) {
