@@ -250,9 +250,11 @@ bool JoiningStage::turns_back(const BladeLine& line, const Vec3& direction) cons
 
 // There it ends for what another stroke sweeps, as where the blade leaves the tissue. This stroke comes by again and again where a hand goes to and fro.
 void JoiningStage::keep_turn(const BladeLine& line) {
-  std::vector<BladeLine> lines(strip_.rbegin(), strip_.rend());
-  if (lines.front() != line) lines.insert(lines.begin(), line);
-  if (lines.size() > 1) keep(lines, kNeverOwn_m);
+  std::array<BladeLine, SweepEnd::kMaxLines> lines;  // a frame allocates nothing
+  std::size_t count = 0;
+  if (strip_.back() != line) lines[count++] = line;
+  for (std::size_t i = strip_.size(); i > 0 && count < lines.size(); --i) lines[count++] = strip_[i - 1];
+  if (count > 1) keep(std::span(lines).first(count), kNeverOwn_m);
 }
 
 void JoiningStage::end_strip(const BladeLine& line) {
