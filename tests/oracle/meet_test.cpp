@@ -952,6 +952,15 @@ TEST(MeetingGaps, AreFoundBesideThoseThatWereHeld) {
   come_apart({{"seed_1720", "square", 170006}, {"wound_1476", "polygon", 90000}});
 }
 
+// Two to five faces beside what was swept held parts of 3 to 133 h^3: each hangs together by the others, and some have no edge at the boundary.
+TEST(MeetingBridges, OfSeveralFacesOpen) {
+  come_apart({{"armadillo_3717", "helix", 392011},
+              {"liver_6564", "box", 392003},
+              {"liver_6564", "helix", 392017},
+              {"liver_6564", "helix", 390006},
+              {"wound_1476", "polygon", 392017}});
+}
+
 // The gap between the place where a blade turns back and an older cut may be closed.
 TEST(MeetingTurns, MayCloseAGap) {
   come_apart({{"seed_1720", "lasso", 130006}});

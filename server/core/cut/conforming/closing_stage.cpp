@@ -1,6 +1,7 @@
 #include "server/core/cut/conforming/closing_stage.hpp"
 
 #include <algorithm>
+#include <array>
 #include <bit>
 #include <cmath>
 #include <utility>
@@ -22,6 +23,7 @@ void ClosingStage::begin(std::span<const HalfFace> opened) {
   hangs_between_ = false;
   asked_ = 0;
   apart_ = kNone;
+  bridges_.stop();
   parts_.begin();
   round_ = Kind::kAcross;
   pass_.begin();
@@ -88,7 +90,12 @@ bool ClosingStage::advance(WorkBudget& budget) {
         return false;
       }
       // A sweep that is alone leaves ribs: what hangs together by one is a lobe of the body as it grew.
-      if (cut_.has_front || !cut_.meets_cut || round_ == Kind::kNeck) return true;
+      if (cut_.has_front || !cut_.meets_cut) return true;
+      if (round_ == Kind::kNeck) {
+        looked_at_.clear();
+        go(Phase::kFindBridges);
+        return false;
+      }
       hangs_between_ = false;
       round_ = round_ == Kind::kAcross ? Kind::kRib : Kind::kNeck;
       go(round_ == Kind::kRib ? Phase::kCollectRibs : Phase::kCollectNecks);
@@ -101,6 +108,8 @@ bool ClosingStage::advance(WorkBudget& budget) {
       if (!collect_held(cut_.workspace.necks, Kind::kNeck, budget)) return false;
       go(gaps_.empty() ? Phase::kOpen : Phase::kCollectRibs);
       return false;
+    case Phase::kFindBridges:
+      return find_bridges(budget);
   }
   return true;
 }
@@ -189,6 +198,7 @@ void ClosingStage::consider_faces(TetId t) {
 void ClosingStage::consider(HalfFace h) {
   const HalfFace o = mesh_.opposite(h);
   if (waits(h) || cut_.is_pending(h) || has_to_wait(h)) return;
+  suspect(h);
   Gap gap{0, h, false, false, Kind::kAcross};
   if (!may_close(gap)) {
     gap = {0, h, false, false, Kind::kNeck};
@@ -373,6 +383,96 @@ bool ClosingStage::look_far(WorkBudget& budget) {
   return true;
 }
 
+// Keeps a face for the end of the stroke. It may be considered often.
+void ClosingStage::suspect(HalfFace h) {
+  const std::size_t newest = std::min<std::size_t>(suspects_.size(), 64);
+  if (std::ranges::count(std::span(suspects_).last(newest), h) > 0) return;
+  if (suspects_.size() == kMostBridges)
+    suspects_.erase(suspects_.begin(), suspects_.begin() + kMostBridges / 4);
+  suspects_.push_back(h);
+}
+
+// Whether something was swept close by a face and between its sides, and it is closed.
+bool ClosingStage::may_hold_together(HalfFace h) const {
+  if (!mesh_.alive(tet_of(h)) || mesh_.opposite(h) == kNone) return false;
+  const Vec3 middle = mesh_.face_middle(h);
+  const Vec3 from = reference_point(cut_, tet_of(h)), to = reference_point(cut_, tet_of(mesh_.opposite(h)));
+  const double near_m = kBridgeBeside_h * cut_.h;
+  std::size_t looked_at = 0;
+  const auto passes_between = [&](const SweptMemory::Quad& quad) {
+    return std::ranges::any_of(quad.triangles(), [&](const std::array<Vec3, 3>& triangle) {
+      const auto& [a, b, c] = triangle;
+      if (squared_length(closest_point(middle, a, b, c) - middle) > near_m * near_m) return false;
+      const Vec3 normal = normalized(cross(b - a, c - a));
+      if ((dot(normal, from - a) >= 0) == (dot(normal, to - a) >= 0)) return false;
+      // Beside other sweeps there is little to hold together.
+      return std::ranges::all_of(
+          std::array{kBridgeDepth_h * cut_.h, -kBridgeDepth_h * cut_.h}, [&](double by_m) {
+            return cut_.workspace.swept.stroke_at(middle + by_m * normal, kBridgeClear_h * cut_.h,
+                                                  looked_at) == 0;
+          });
+    });
+  };
+  const bool may =
+      cut_.workspace.swept.any_in(Box::around({middle}).widened(near_m), looked_at, passes_between);
+  cut_.work.add(looked_at, cost::kQuadsAUnit);
+  return may;
+}
+
+// Opens what holds parts together though no single face does.
+bool ClosingStage::find_bridges(WorkBudget& budget) {
+  while (bridges_.is_looking() || next_suspect(budget)) {
+    if (!bridges_.advance(budget)) return false;
+    const std::span<const HalfFace> faces = bridges_.faces();
+    if (!parts_something(faces)) continue;
+    for (HalfFace g : faces) others_.push_back(mesh_.opposite(g));
+    editor_.open(faces);
+    for (std::span<const HalfFace> opened : {faces, std::span<const HalfFace>(others_)}) {
+      for (HalfFace g : opened) list_pinched(g);
+    }
+    others_.clear();
+  }
+  if (next_ < suspects_.size() && looked_at_.size() < kMaxBridges) return false;
+  suspects_.clear();
+  return true;
+}
+
+// Whether what lies on the two sides of each of these faces would be apart near by if all of them opened, and no crumb.
+bool ClosingStage::parts_something(std::span<const HalfFace> faces) {
+  for (HalfFace h : faces) {
+    cut_.set_pending(h);
+    cut_.set_pending(mesh_.opposite(h));
+  }
+  const bool parts = std::ranges::all_of(faces, [&](HalfFace h) {
+    const TetId one = tet_of(h), other = tet_of(mesh_.opposite(h));
+    return is_part(parts_.look(one, other, Parts::Rule::kThick, kMaxWay)) &&
+           is_part(parts_.look(other, one, Parts::Rule::kThick, kMaxWay));
+  });
+  for (HalfFace h : faces) {
+    cut_.clear_pending(h);
+    cut_.clear_pending(mesh_.opposite(h));
+  }
+  parts_.begin();
+  return parts;
+}
+
+// Begins to look around the next one that may be part of a bridge, away from those that were looked at. False: there is none, the budget is spent, or the part
+// of the batch is full.
+bool ClosingStage::next_suspect(WorkBudget& budget) {
+  const double apart_m = kBridgesApart_h * cut_.h;
+  while (next_ < suspects_.size() && looked_at_.size() < kMaxBridges && goes_on(budget)) {
+    const HalfFace h = suspects_[next_++];
+    if (!may_hold_together(h)) continue;
+    const Vec3 middle = mesh_.face_middle(h);
+    const auto is_near = [&](const Vec3& p) { return distance(p, middle) < apart_m; };
+    if (std::ranges::any_of(looked_at_, is_near)) continue;
+    looked_at_.push_back(middle);
+    bridges_.begin(h);
+    return true;
+  }
+  return false;
+}
+
 // Whether its sides hang together in what was swept by more than the face: a lobe of the body as it grew does. What may be a neck has to be parted
 // by what was swept; a hole opens unless it is seen to lead through the tissue.
 bool ClosingStage::stays_closed(const Gap& gap) {
@@ -451,6 +551,10 @@ void ClosingStage::archive(Archive& io) {
     io(marked);
     io.demand(tet_of(w.face) < mesh_.tet_slots(), "a waiting face of no tetrahedron");
     if (io.reads() && !io.failed() && marked) set_waits(w.face, true);
+  });
+  io.list(suspects_, 4, [&](HalfFace& h) {
+    io(h);
+    io.demand(tet_of(h) < mesh_.tet_slots(), "a suspect face of no tetrahedron");
   });
 }
 

@@ -5,6 +5,7 @@
 #include <span>
 #include <vector>
 
+#include "server/core/cut/conforming/bridge_finder.hpp"
 #include "server/core/cut/conforming/cut_context.hpp"
 #include "server/core/cut/conforming/hole_finder.hpp"
 #include "server/core/cut/conforming/mesh_editor.hpp"
@@ -28,17 +29,23 @@ class ClosingStage {
         pass_(cut.workspace),
         parts_(cut),
         sides_(cut),
-        neck_(cut),
+        grid_(cut),
+        neck_(cut, grid_),
+        bridges_(cut, grid_),
         holes_(cut) {}
 
-  void clear() { waiting_.clear(); }
+  void clear() {
+    waiting_.clear();
+    suspects_.clear();
+  }
   // `opened`: the faces that this batch has opened, both sides of each.
   void begin(std::span<const HalfFace> opened);
   // True: done; false: the budget is spent, a part of the batch is full, or more is to do.
   bool advance(WorkBudget& budget);
 
-  // While faces are collected nothing but the budget makes it stop, and no part of a batch ends.
+  // While faces are collected, or a bridge is looked for, nothing but the budget makes it stop, and no part of a batch ends.
   bool collects() const {
+    if (phase_ == Phase::kFindBridges) return bridges_.is_looking();
     return phase_ != Phase::kJudge && phase_ != Phase::kLookFar && phase_ != Phase::kOpen;
   }
   void archive(Archive& io);
@@ -53,7 +60,8 @@ class ClosingStage {
     kLookFar,
     kOpen,
     kCollectRibs,
-    kCollectNecks
+    kCollectNecks,
+    kFindBridges
   };
   using Part = Parts::Part;
   // kRib: between a sweep and the boundary, both sides are on one side of the sweep. kNeck: it is farther off, or less is known of it.
@@ -120,6 +128,11 @@ class ClosingStage {
   bool stays_closed(const Gap& gap, HalfFace h, std::span<const TetId> part);
   bool may_lead_through(const Gap& gap);
   void keep_rest_closed();
+  void suspect(HalfFace h);
+  bool may_hold_together(HalfFace h) const;
+  bool find_bridges(WorkBudget& budget);
+  bool next_suspect(WorkBudget& budget);
+  bool parts_something(std::span<const HalfFace> faces);
   void list_pinched(HalfFace opened);
 
   CutContext& cut_;
@@ -140,12 +153,17 @@ class ClosingStage {
   std::vector<Gap> rest_;
   bool hangs_between_ = false;
   std::vector<HalfFace> faces_;  // to open
+  // Faces of this stroke that the surface passes by, and that had to stay closed when it had: some may hold parts together with others.
+  std::vector<HalfFace> suspects_;
+  std::vector<Vec3> looked_at_;  // where bridges were looked for, when the stroke ended
   std::vector<Gap> doubtful_;    // between two large parts, when the stroke ends
   TetPass pass_;                 // whose faces have been considered
   std::uint32_t nearest_ = 0;    // the surface's triangle that is_near() has found
   Parts parts_;
   TwoSides sides_;
+  TissueGrid grid_;
   Neck neck_;
+  BridgeFinder bridges_;
   HoleFinder holes_;
   std::size_t asked_ = 0;  // how many faces Neck was asked about in this batch
   // The largest tetrahedron of a part that is apart, as Neck says, and how many that part has.

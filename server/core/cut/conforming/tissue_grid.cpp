@@ -1,0 +1,210 @@
+#include "server/core/cut/conforming/tissue_grid.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace incise::core {
+
+using namespace tolerance;
+
+namespace {
+
+// How far points are moved aside, of a step: far more than what is rounded.
+constexpr double kAside = 1e-3;
+
+}  // namespace
+
+Box TissueGrid::box_of(TetId t) const {
+  const auto& v = mesh_.vertices(t);
+  const auto at = [&](std::size_t k) { return mesh_.position(v[k]); };
+  return Box::around({at(0), at(1), at(2), at(3)});
+}
+
+// The whole numbers from `low` to `high` that number points along an axis: first and last.
+std::array<int, 2> TissueGrid::range(double low, double high, int axis) const {
+  // By hand: std::ceil and std::floor are calls on processors that have no instruction for them.
+  const double last = points_[static_cast<std::size_t>(axis)] - 1;
+  low = std::clamp(low, 0.0, last + 1);
+  high = std::clamp(high, -1.0, last);
+  const int from = static_cast<int>(low), to = static_cast<int>(high);
+  return {from + (from < low ? 1 : 0), to - (to > high ? 1 : 0)};
+}
+
+// Not from the box's corner: that lies as far from what parts the tissue there as is a whole number of steps, and a layer of points in the plane of a sweep
+// would be on this side of some of its triangles and on that side of others, as they are rounded.
+void TissueGrid::lay_out(const Box& box, double step_m) {
+  const Vec3 aside = kAside * step_m * Vec3{1, 0.62, 0.38};
+  box_ = {box.low - aside, box.high - aside};
+  step_m_ = step_m;
+  const Vec3 size = to_grid(box.high);
+  std::size_t count = 1;
+  first_ = 0;
+  for (int axis = 0; axis < 3; ++axis) {
+    const auto a = static_cast<std::size_t>(axis);
+    points_[a] = static_cast<int>(std::lround(coordinate(size, axis))) + 1;
+    step_[a] = count;
+    first_ += count;
+    count *= static_cast<std::size_t>(points_[a]) + 2;
+  }
+  cut_.part_judging += count * cost::kPartNeckPoint;
+  sides_.assign(count, 0);
+  walls_.assign(count, 0);
+  skin_.clear();
+}
+
+std::size_t TissueGrid::fill(TetId t, std::uint8_t side) {
+  cut_.work += cost::kLook;
+  std::size_t count = 0;
+  each_point(t, [&](std::size_t at) {
+    if (sides_[at] != 0) return;
+    sides_[at] = side;
+    ++count;
+  });
+  for (int f = 0; f < 4; ++f) {
+    if (mesh_.opposite(half_face(t, f)) != kNone) continue;
+    const auto v = mesh_.face_vertices(half_face(t, f));
+    const Vec3 &a = mesh_.position(v[0]), &b = mesh_.position(v[1]), &c = mesh_.position(v[2]);
+    const bool is_skin = !(mesh_.cut_mask(t) >> f & 1);
+    block(a, b, c, is_skin ? kBlocked | kBlockedBySkin : kBlocked);
+    if (is_skin) skin_.push_back({a, b, c, Box::around({a, b, c}).widened(gap_m())});
+  }
+  return count;
+}
+
+void TissueGrid::block_swept() {
+  near_.clear();
+  for (const SweptMemory::Quad& quad : cut_.workspace.swept.quads()) {
+    const Box around = quad.box().widened(gap_m());
+    if (!around.meets(box_)) continue;
+    near_.push_back({&quad, around});
+    for (const auto& [a, b, c] : quad.triangles()) block(a, b, c);
+  }
+  cut_.work.add(cut_.workspace.swept.quads().size(), cost::kQuadsAUnit);
+  for (std::size_t i = 0; i < near_.size(); ++i) {
+    if (i % kRimBlock == 0) {
+      Box around = near_[i].around;
+      for (std::size_t j = i + 1; j < std::min(i + kRimBlock, near_.size()); ++j) around.add(near_[j].around);
+      list_walls(around);
+    }
+    const SweptMemory::Quad& quad = *near_[i].quad;
+    if (!quad.has_rims) continue;
+    const BladeLine &from = quad.from, &to = quad.to;
+    const Vec3 along = normalized((from.tip - from.heel) + (to.tip - to.heel));
+    const Vec3 motion = (to.heel - from.heel) + (to.tip - from.tip);
+    const Vec3 normal = normalized(cross(along, motion));
+    lead_on(from.heel, to.heel, -along, normal, quad);
+    lead_on(from.tip, to.tip, along, normal, quad);
+  }
+  SweepEnds& ends = cut_.workspace.ends;
+  for (std::size_t i = 0; i < ends.size(); ++i) {
+    const BladeLine &line = ends[i].lines[0], &before = ends[i].lines[1];
+    const Vec3 along = normalized(line.tip - line.heel);
+    const Vec3 motion = (line.heel - before.heel) + (line.tip - before.tip);
+    const Vec3 away = normalized(motion - dot(motion, along) * along);
+    list_walls(Box::around({line.heel, line.tip}));
+    lead_on(line.heel, line.tip, away, cross(along, away),
+            {line, line, ends[i].stroke, ends[i].travel_m, true});
+  }
+}
+
+// Leads a rim from a to b on to what is near.
+void TissueGrid::lead_on(const Vec3& a, const Vec3& b, const Vec3& away, const Vec3& normal,
+                         const SweptMemory::Quad& sweep) {
+  const Box rim = Box::around({a, b});
+  if (!rim.widened(gap_m()).meets(box_)) return;
+  list_beside(rim, sweep);
+  if (beside_.empty()) return;
+  const int count = std::max(1, static_cast<int>(std::ceil(distance(a, b) / (kNeckRim_h * cut_.h))));
+  for (int i = 0; i < count; ++i) {
+    const Vec3 p = lerp(a, b, static_cast<double>(i) / count),
+               q = lerp(a, b, static_cast<double>(i + 1) / count);
+    const Vec3 middle = lerp(p, q, 0.5);
+    if (!Box{middle, middle}.widened(gap_m()).meets(box_) || !is_near_beside(middle)) continue;
+    for (const Vec3& direction : {away, normal, -normal}) {
+      const Vec3 by = gap_m() * direction;
+      block(p, q, q + by);
+      block(p, q + by, p + by);
+    }
+  }
+}
+
+// Lists what is near some rims: the skin, and sweeps.
+void TissueGrid::list_walls(const Box& rims) {
+  walls_beside_.clear();
+  for (const Triangle& t : skin_) {
+    if (t.around.meets(rims)) walls_beside_.push_back({t, nullptr});
+  }
+  for (const Swept& swept : near_) {
+    if (!swept.around.meets(rims)) continue;
+    for (const auto& [a, b, c] : swept.quad->triangles())
+      walls_beside_.push_back({{a, b, c, swept.around}, swept.quad});
+  }
+  cut_.work.add(skin_.size() + near_.size(), cost::kWallsAUnit);
+}
+
+// Of these, what one rim may be led on to: the skin, another sweep, or quite another part of this one.
+void TissueGrid::list_beside(const Box& rim, const SweptMemory::Quad& sweep) {
+  beside_.clear();
+  cut_.work.add(walls_beside_.size(), cost::kWallsAUnit);
+  for (const Wall& wall : walls_beside_) {
+    if (!wall.triangle.around.meets(rim)) continue;
+    const bool is_other = wall.quad == nullptr || wall.quad->stroke != sweep.stroke ||
+                          std::abs(wall.quad->travel_m - sweep.travel_m) > kFar_h * cut_.h;
+    if (is_other) beside_.push_back(wall.triangle);
+  }
+}
+
+bool TissueGrid::is_near_beside(const Vec3& p) const {
+  return std::ranges::any_of(beside_, [&](const Triangle& t) {
+    return t.around.has(p) && squared_length(closest_point(p, t.a, t.b, t.c) - p) <= gap_m() * gap_m();
+  });
+}
+
+// Blocks the ways between neighbouring points that a triangle crosses; also at its edges, so that none slips through between two that share one.
+void TissueGrid::block(const Vec3& a, const Vec3& b, const Vec3& c, unsigned by) {
+  constexpr double kEdge = 1e-9;
+  const Vec3 p[3] = {to_grid(a), to_grid(b), to_grid(c)};
+  for (int axis = 0; axis < 3; ++axis) {
+    const int u = (axis + 1) % 3, w = (axis + 2) % 3;
+    double pu[3], pw[3];
+    for (int i = 0; i < 3; ++i) {
+      pu[i] = coordinate(p[i], u);
+      pw[i] = coordinate(p[i], w);
+    }
+    const auto us =
+        range(std::min({pu[0], pu[1], pu[2]}) - kEdge, std::max({pu[0], pu[1], pu[2]}) + kEdge, u);
+    const auto ws =
+        range(std::min({pw[0], pw[1], pw[2]}) - kEdge, std::max({pw[0], pw[1], pw[2]}) + kEdge, w);
+    // Many are so small that no way is near.
+    if (us[0] > us[1] || ws[0] > ws[1]) continue;
+    const double area = (pu[1] - pu[0]) * (pw[2] - pw[0]) - (pw[1] - pw[0]) * (pu[2] - pu[0]);
+    if (std::abs(area) < kEdge) continue;
+    const std::size_t step = step_[static_cast<std::size_t>(axis)];
+    const std::size_t along = step_[static_cast<std::size_t>(u)], across = step_[static_cast<std::size_t>(w)];
+    const double farthest = points_[static_cast<std::size_t>(axis)] - 1;
+    // A corner's weight at (x, y) of the plane across the axis is linear there, and so is where the triangle is along the axis. It covers what no weight
+    // is negative at: of a row, what lies between where they are 0.
+    Linear along_axis;
+    GridRows rows;
+    for (int i = 0; i < 3; ++i) {
+      const int j = (i + 1) % 3, k = (i + 2) % 3;
+      const Linear weight =
+          Linear{pu[j] * pw[k] - pu[k] * pw[j], pw[j] - pw[k], pu[k] - pu[j]}.times(1 / area);
+      const double at = coordinate(p[i], axis);
+      along_axis = {along_axis.first + at * weight.first, along_axis.by_j + at * weight.by_j,
+                    along_axis.by_k + at * weight.by_k};
+      rows.add(weight.by_j, {-kEdge - weight.first, 0, -weight.by_k}, 1);
+    }
+    for (int y = ws[0]; y <= ws[1]; ++y) {
+      rows.each_inside(0, y, us[0], us[1], [&](int x) {
+        const double at = along_axis.at(x, y);
+        if (at < 0 || at >= farthest) return;
+        walls_[first_ + static_cast<std::size_t>(at) * step + static_cast<std::size_t>(x) * along +
+               static_cast<std::size_t>(y) * across] |= static_cast<std::uint8_t>(by << axis);
+      });
+    }
+    cut_.work.add(static_cast<std::size_t>(ws[1] - ws[0]) + 1, cost::kRowsAUnit);
+  }
+}
+
+}  // namespace incise::core
