@@ -392,9 +392,14 @@ void ClosingStage::suspect(HalfFace h) {
   suspects_.push_back(h);
 }
 
-// Whether something was swept close by a face and between its sides, and it is closed.
+// Whether a face is closed, and something was swept close by it and between its sides: a large one, for small elements follow what is swept.
 bool ClosingStage::may_hold_together(HalfFace h) const {
   if (!mesh_.alive(tet_of(h)) || mesh_.opposite(h) == kNone) return false;
+  const auto v = mesh_.face_vertices(h);
+  const auto is_long = [&](VertexId a, VertexId b) {
+    return distance(mesh_.position(a), mesh_.position(b)) >= kBridgeEdge_h * cut_.h;
+  };
+  if (!is_long(v[0], v[1]) && !is_long(v[1], v[2]) && !is_long(v[2], v[0])) return false;
   const Vec3 middle = mesh_.face_middle(h);
   const Vec3 from = reference_point(cut_, tet_of(h)), to = reference_point(cut_, tet_of(mesh_.opposite(h)));
   const double near_m = kBridgeBeside_h * cut_.h;

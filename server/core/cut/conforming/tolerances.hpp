@@ -126,13 +126,13 @@ inline constexpr double kNeckRim_h = 0.125;
 inline constexpr std::size_t kRimBlock = 8;
 // So many faces are asked about in a batch.
 inline constexpr std::size_t kMaxNecks = 16;
-// What holds two parts together by several faces (BridgeFinder). It is looked for around a face whose middle is within kBridgeBeside_h of what was swept, if within
+// What holds two parts together by several faces (BridgeFinder). It is looked for around a face with an edge of kBridgeEdge_h whose middle is within kBridgeBeside_h of what was swept, if within
 // kBridgeClear_h of the points kBridgeDepth_h to either side nothing was; first within kBridgeNear_h, and, where two parts have kLeastPartNear_h3 there that is clear of
 // what was swept, within kBridgeReach_h, at points kBridgeStep_h apart. No vertex of a face that opens is farther off what was swept than kBridgeFar_h. Places are
 // kBridgesApart_h apart. So many faces are kept of a stroke, and so many places looked at when it ends; so often may what flows from part to part take another way.
-inline constexpr double kBridgeNear_h = 1.5, kLeastPartNear_h3 = 0.04, kBridgeReach_h = 3,
+inline constexpr double kBridgeNear_h = 1, kLeastPartNear_h3 = 0.015, kBridgeReach_h = 3,
                         kBridgeStep_h = 1.0 / 6, kBridgeBeside_h = 0.3, kBridgeFar_h = 1.25,
-                        kBridgesApart_h = 1.5, kBridgeDepth_h = 0.5, kBridgeClear_h = 0.1;
+                        kBridgesApart_h = 1.5, kBridgeDepth_h = 0.5, kBridgeClear_h = 0.25, kBridgeEdge_h = 1;
 inline constexpr std::size_t kMostBridges = 4096, kMaxBridges = 16, kMostFlows = 64;
 // Chords that stand for what was swept are no shorter than this.
 inline constexpr double kRemembered_h = 0.2;
