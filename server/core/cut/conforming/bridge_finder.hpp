@@ -10,8 +10,8 @@
 
 namespace incise::core {
 
-// Finds what still holds together two parts that were swept apart, where no single face does: in elements as large as the blade is long, several faces that lie
-// beside the surface, none of them at the boundary with its edges. On a grid it sees which tissue the surfaces part around a place; between the
+// Finds what still holds together two parts that were swept apart, where it takes several faces to do so: in elements as large as the blade is long, they lie
+// beside the surface, and some have no edge at the boundary. On a grid it sees which tissue the surfaces part around a place; between the
 // tetrahedra that lie deep in the parts it looks for the faces that part them, as few and as near to the surfaces as can be: a minimum cut (Ford and
 // Fulkerson 1956).
 class BridgeFinder {
