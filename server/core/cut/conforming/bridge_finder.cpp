@@ -92,9 +92,8 @@ void BridgeFinder::fill(std::size_t end) {
     cut_.work += cost::kFillTet;
     for (int f = 0; f < 4; ++f) {
       const HalfFace o = mesh_.opposite(half_face(tets_[next_], f));
-      if (o == kNone || pass_.has(tet_of(o)) || !grid_.box_of(tet_of(o)).meets(grid_.box())) continue;
-      pass_.add(tet_of(o));
-      tets_.push_back(tet_of(o));
+      if (o != kNone && pass_.insert(tet_of(o)) && grid_.box_of(tet_of(o)).meets(grid_.box()))
+        tets_.push_back(tet_of(o));
     }
   }
 }

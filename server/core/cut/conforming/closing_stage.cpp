@@ -392,9 +392,8 @@ void ClosingStage::suspect(HalfFace h) {
   suspects_.push_back(h);
 }
 
-// Whether a face is closed, and something was swept close by it and between its sides: a large one, for small elements follow what is swept.
+// Whether something was swept close by a closed face and between its sides: a large one, for small elements follow what is swept.
 bool ClosingStage::may_hold_together(HalfFace h) const {
-  if (!mesh_.alive(tet_of(h)) || mesh_.opposite(h) == kNone) return false;
   const auto v = mesh_.face_vertices(h);
   const auto is_long = [&](VertexId a, VertexId b) {
     return distance(mesh_.position(a), mesh_.position(b)) >= kBridgeEdge_h * cut_.h;
@@ -407,9 +406,11 @@ bool ClosingStage::may_hold_together(HalfFace h) const {
   const auto passes_between = [&](const SweptMemory::Quad& quad) {
     return std::ranges::any_of(quad.triangles(), [&](const std::array<Vec3, 3>& triangle) {
       const auto& [a, b, c] = triangle;
-      if (squared_length(closest_point(middle, a, b, c) - middle) > near_m * near_m) return false;
-      const Vec3 normal = normalized(cross(b - a, c - a));
-      if ((dot(normal, from - a) >= 0) == (dot(normal, to - a) >= 0)) return false;
+      const Vec3 across = cross(b - a, c - a);
+      if ((dot(across, from - a) >= 0) == (dot(across, to - a) >= 0) ||
+          squared_length(closest_point(middle, a, b, c) - middle) > near_m * near_m)
+        return false;
+      const Vec3 normal = normalized(across);
       // Beside other sweeps there is little to hold together.
       return std::ranges::all_of(
           std::array{kBridgeDepth_h * cut_.h, -kBridgeDepth_h * cut_.h}, [&](double by_m) {
@@ -467,10 +468,10 @@ bool ClosingStage::next_suspect(WorkBudget& budget) {
   const double apart_m = kBridgesApart_h * cut_.h;
   while (next_ < suspects_.size() && looked_at_.size() < kMaxBridges && goes_on(budget)) {
     const HalfFace h = suspects_[next_++];
-    if (!may_hold_together(h)) continue;
+    if (!mesh_.alive(tet_of(h)) || mesh_.opposite(h) == kNone) continue;
     const Vec3 middle = mesh_.face_middle(h);
     const auto is_near = [&](const Vec3& p) { return distance(p, middle) < apart_m; };
-    if (std::ranges::any_of(looked_at_, is_near)) continue;
+    if (std::ranges::any_of(looked_at_, is_near) || !may_hold_together(h)) continue;
     looked_at_.push_back(middle);
     bridges_.begin(h);
     return true;

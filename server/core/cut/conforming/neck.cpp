@@ -102,10 +102,8 @@ std::size_t Neck::fill_between() {
 void Neck::take_beyond(TetId t, bool through) {
   for (int f = 0; f < 4; ++f) {
     const HalfFace o = mesh_.opposite(half_face(t, f));
-    if (o == kNone || (!through && cut_.is_pending(o)) || pass_.has(tet_of(o))) continue;
-    if (!grid_.box_of(tet_of(o)).meets(grid_.box())) continue;
-    pass_.add(tet_of(o));
-    tets_.push_back(tet_of(o));
+    if (o == kNone || (!through && cut_.is_pending(o))) continue;
+    if (pass_.insert(tet_of(o)) && grid_.box_of(tet_of(o)).meets(grid_.box())) tets_.push_back(tet_of(o));
   }
 }
 

@@ -73,54 +73,68 @@ std::size_t TissueGrid::fill(TetId t, std::uint8_t side) {
 
 void TissueGrid::block_swept() {
   near_.clear();
-  for (const SweptMemory::Quad& quad : cut_.workspace.swept.quads()) {
-    const Box around = quad.box().widened(gap_m());
-    if (!around.meets(box_)) continue;
-    near_.push_back({&quad, around});
+  std::size_t looked_at = 0;
+  cut_.workspace.swept.any_in(box_.widened(gap_m()), looked_at, [&](const SweptMemory::Quad& quad) {
+    near_.push_back({&quad, quad.box().widened(gap_m())});
     for (const auto& [a, b, c] : quad.triangles()) block(a, b, c);
+    return false;
+  });
+  cut_.work.add(looked_at, cost::kQuadsAUnit);
+  list_rims();
+  for (std::size_t i = 0; i < rims_.size(); i += kRimBlock) {
+    const std::span<const Rim> rims = std::span(rims_).subspan(i, std::min(kRimBlock, rims_.size() - i));
+    Box around = rims[0].around();
+    for (const Rim& rim : rims) around.add(rim.around());
+    list_walls(around);
+    for (const Rim& rim : rims) lead_on(rim);
   }
-  cut_.work.add(cut_.workspace.swept.quads().size(), cost::kQuadsAUnit);
-  for (std::size_t i = 0; i < near_.size(); ++i) {
-    if (i % kRimBlock == 0) {
-      Box around = near_[i].around;
-      for (std::size_t j = i + 1; j < std::min(i + kRimBlock, near_.size()); ++j) around.add(near_[j].around);
-      list_walls(around);
-    }
-    const SweptMemory::Quad& quad = *near_[i].quad;
-    if (!quad.has_rims) continue;
-    const BladeLine &from = quad.from, &to = quad.to;
+}
+
+// Lists the rims near the box of what was swept, and where sweeps begin and end.
+void TissueGrid::list_rims() {
+  rims_.clear();
+  const auto is_near = [&](const Vec3& a, const Vec3& b) {
+    return Box::around({a, b}).widened(gap_m()).meets(box_);
+  };
+  for (const auto& [quad, around] : near_) {
+    const BladeLine &from = quad->from, &to = quad->to;
+    const bool heel = is_near(from.heel, to.heel), tip = is_near(from.tip, to.tip);
+    if (!quad->has_rims || (!heel && !tip)) continue;
     const Vec3 along = normalized((from.tip - from.heel) + (to.tip - to.heel));
     const Vec3 motion = (to.heel - from.heel) + (to.tip - from.tip);
     const Vec3 normal = normalized(cross(along, motion));
-    lead_on(from.heel, to.heel, -along, normal, quad);
-    lead_on(from.tip, to.tip, along, normal, quad);
+    if (heel) rims_.push_back({from.heel, to.heel, -along, normal, quad->stroke, quad->travel_m});
+    if (tip) rims_.push_back({from.tip, to.tip, along, normal, quad->stroke, quad->travel_m});
   }
   SweepEnds& ends = cut_.workspace.ends;
   for (std::size_t i = 0; i < ends.size(); ++i) {
     const BladeLine &line = ends[i].lines[0], &before = ends[i].lines[1];
+    if (!is_near(line.heel, line.tip)) continue;
     const Vec3 along = normalized(line.tip - line.heel);
     const Vec3 motion = (line.heel - before.heel) + (line.tip - before.tip);
     const Vec3 away = normalized(motion - dot(motion, along) * along);
-    list_walls(Box::around({line.heel, line.tip}));
-    lead_on(line.heel, line.tip, away, cross(along, away),
-            {line, line, ends[i].stroke, ends[i].travel_m, true});
+    rims_.push_back({line.heel, line.tip, away, cross(along, away), ends[i].stroke, ends[i].travel_m});
   }
 }
 
-// Leads a rim from a to b on to what is near.
-void TissueGrid::lead_on(const Vec3& a, const Vec3& b, const Vec3& away, const Vec3& normal,
-                         const SweptMemory::Quad& sweep) {
-  const Box rim = Box::around({a, b});
-  if (!rim.widened(gap_m()).meets(box_)) return;
-  list_beside(rim, sweep);
+// Leads a rim on to what is near.
+void TissueGrid::lead_on(const Rim& rim) {
+  list_beside(rim);
   if (beside_.empty()) return;
-  const int count = std::max(1, static_cast<int>(std::ceil(distance(a, b) / (kNeckRim_h * cut_.h))));
+  const int count =
+      std::max(1, static_cast<int>(std::ceil(distance(rim.a, rim.b) / (kNeckRim_h * cut_.h))));
+  const auto at = [&](double i) { return lerp(rim.a, rim.b, i / count); };
+  const auto leads = [&](int i) {
+    const Vec3 middle = at(i + 0.5);
+    return Box{middle, middle}.widened(gap_m()).meets(box_) && is_near_beside(middle);
+  };
   for (int i = 0; i < count; ++i) {
-    const Vec3 p = lerp(a, b, static_cast<double>(i) / count),
-               q = lerp(a, b, static_cast<double>(i + 1) / count);
-    const Vec3 middle = lerp(p, q, 0.5);
-    if (!Box{middle, middle}.widened(gap_m()).meets(box_) || !is_near_beside(middle)) continue;
-    for (const Vec3& direction : {away, normal, -normal}) {
+    if (!leads(i)) continue;
+    const Vec3 p = at(i);
+    do ++i;
+    while (i < count && leads(i));
+    const Vec3 q = at(i);
+    for (const Vec3& direction : {rim.away, rim.normal, -rim.normal}) {
       const Vec3 by = gap_m() * direction;
       block(p, q, q + by);
       block(p, q + by, p + by);
@@ -143,13 +157,14 @@ void TissueGrid::list_walls(const Box& rims) {
 }
 
 // Of these, what one rim may be led on to: the skin, another sweep, or quite another part of this one.
-void TissueGrid::list_beside(const Box& rim, const SweptMemory::Quad& sweep) {
+void TissueGrid::list_beside(const Rim& rim) {
   beside_.clear();
   cut_.work.add(walls_beside_.size(), cost::kWallsAUnit);
+  const Box around = rim.around();
   for (const Wall& wall : walls_beside_) {
-    if (!wall.triangle.around.meets(rim)) continue;
-    const bool is_other = wall.quad == nullptr || wall.quad->stroke != sweep.stroke ||
-                          std::abs(wall.quad->travel_m - sweep.travel_m) > kFar_h * cut_.h;
+    if (!wall.triangle.around.meets(around)) continue;
+    const bool is_other = wall.quad == nullptr || wall.quad->stroke != rim.stroke ||
+                          std::abs(wall.quad->travel_m - rim.travel_m) > kFar_h * cut_.h;
     if (is_other) beside_.push_back(wall.triangle);
   }
 }
@@ -163,6 +178,8 @@ bool TissueGrid::is_near_beside(const Vec3& p) const {
 // Blocks the ways between neighbouring points that a triangle crosses; also at its edges, so that none slips through between two that share one.
 void TissueGrid::block(const Vec3& a, const Vec3& b, const Vec3& c, unsigned by) {
   constexpr double kEdge = 1e-9;
+  // What was swept near the box lies beside it, most of it.
+  if (!Box::around({a, b, c}).meets(box_)) return;
   const Vec3 p[3] = {to_grid(a), to_grid(b), to_grid(c)};
   for (int axis = 0; axis < 3; ++axis) {
     const int u = (axis + 1) % 3, w = (axis + 2) % 3;

@@ -81,6 +81,13 @@ class TissueGrid {
     Vec3 a, b, c;
     Box around;
   };
+  // Of what was swept from a to b. It may be led on away from the sweep, and to either side of it.
+  struct Rim {
+    Vec3 a, b, away, normal;
+    std::uint32_t stroke;
+    double travel_m;
+    Box around() const { return Box::around({a, b}); }
+  };
   // What is near some rims: of the skin, or of a sweep's quad.
   struct Wall {
     Triangle triangle;
@@ -94,10 +101,10 @@ class TissueGrid {
     const auto at = [](int n) { return static_cast<std::size_t>(n); };
     return first_ + at(i) + step_[1] * at(j) + step_[2] * at(k);
   }
-  void lead_on(const Vec3& a, const Vec3& b, const Vec3& away, const Vec3& normal,
-               const SweptMemory::Quad& sweep);
+  void list_rims();
+  void lead_on(const Rim& rim);
   void list_walls(const Box& rims);
-  void list_beside(const Box& rim, const SweptMemory::Quad& sweep);
+  void list_beside(const Rim& rim);
   bool is_near_beside(const Vec3& p) const;
   void block(const Vec3& a, const Vec3& b, const Vec3& c, unsigned by = kBlocked);
 
@@ -113,6 +120,7 @@ class TissueGrid {
   std::vector<std::uint8_t> walls_;
   std::vector<Triangle> skin_;  // of the tissue there
   std::vector<Swept> near_;
+  std::vector<Rim> rims_;
   std::vector<Wall> walls_beside_;  // of both, what is near some rims
   std::vector<Triangle> beside_;    // of these, what one rim may be led on to
 };
