@@ -961,6 +961,15 @@ TEST(MeetingBridges, OfSeveralFacesOpen) {
               {"wound_1476", "polygon", 392017}});
 }
 
+// A face of a large element beside a bend, or across the corner between a sweep and an older cut, opened 0.4 to 0.6 h off what was swept: with one side at the
+// older cut it was not split, nor where the middle of the edge that was farthest off was no place for a vertex.
+TEST(MeetingChords, AreSplitWhereCutsMeet) {
+  come_apart({{"wound_1476", "spiral", 392019},
+              {"wound_1476", "spiral", 396208},
+              {"wound_1476", "box", 396207},
+              {"armadillo_3717", "box", 390005}});
+}
+
 // The gap between the place where a blade turns back and an older cut may be closed.
 TEST(MeetingTurns, MayCloseAGap) {
   come_apart({{"seed_1720", "lasso", 130006}});

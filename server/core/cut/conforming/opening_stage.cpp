@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 namespace incise::core {
 
@@ -98,17 +99,24 @@ bool OpeningStage::select_faces(TetId t) {
   return waits;
 }
 
-// Whether a face on the surface is far off it between its vertices: in an element that is large beside the bend. An older cut is where it
-// is. Nearly all faces are crossed close by their middle, and are none, unless their tetrahedra reach far.
+// Whether a face on the surface is far off it between its vertices: in an element that is large beside the bend, or beside where the sweep meets an older cut,
+// whose corner it would cut off. An older cut is where it is. Nearly all faces are crossed close by their middle, and are none, unless their tetrahedra reach far.
 bool OpeningStage::is_chord(HalfFace h) const {
-  const auto v = mesh_.face_vertices(h);
-  if (!cut_.face_on_surface(h) || std::ranges::any_of(v, [this](VertexId w) { return cut_.stands(w); }))
-    return false;
+  const auto standing =
+      std::ranges::count_if(mesh_.face_vertices(h), [this](VertexId w) { return cut_.stands(w); });
+  if (standing == 3 || !cut_.face_on_surface(h)) return false;
   const Vec3 middle = mesh_.face_middle(h);
-  cut_.work += cost::kNearby;
-  if (cut_.surface().is_within(middle, kChord_h * cut_.h)) return false;
-  cut_.work += cost::kNearby;
-  return !cut_.surface().is_within(middle, kChordBeside_h * cut_.h) || is_alone(middle);
+  const auto is_within = [&](double reach_h) {
+    cut_.work += cost::kNearby;
+    return cut_.surface().is_within(middle, reach_h * cut_.h);
+  };
+  if (is_within(kChord_h)) return false;
+  if (is_within(kChordBeside_h)) return standing == 0 && is_alone(middle);
+  if (standing == 0) return true;
+  std::size_t looked_at = 0;
+  const bool has_other = cut_.workspace.swept.stroke_at(middle, kChord_h * cut_.h, looked_at) != 0;
+  cut_.work.add(looked_at, cost::kQuadsAUnit);
+  return !has_other;
 }
 
 // Whether nothing was swept near p, which is near the surface, but what is nearest to it.
@@ -150,27 +158,31 @@ bool OpeningStage::refine(WorkBudget& budget) {
   return true;
 }
 
+// Splits the edge that is farthest off the surface, or the next one where that leaves too flat a tetrahedron.
 void OpeningStage::split_chord(const std::array<VertexId, 3>& face) {
-  VertexId a = kNone, b = kNone;
-  double farthest_m = kChordEdge_h * cut_.h;
+  std::array<std::pair<double, std::size_t>, 3>
+      edges;  // how far each is off, and its first vertex in the face
   for (std::size_t k = 0; k < 3; ++k) {
-    const VertexId v = face[k], w = face[(k + 1) % 3];
     Vec3 closest;
     std::uint32_t triangle = 0;
-    const Vec3 middle = lerp(mesh_.position(v), mesh_.position(w), 0.5);
+    const Vec3 middle = lerp(mesh_.position(face[k]), mesh_.position(face[(k + 1) % 3]), 0.5);
     cut_.work += cost::kNearby;
     const double off_m = cut_.closest_on_surface(middle, closest, triangle) ? distance(middle, closest) : 0;
-    if (off_m <= farthest_m) continue;
-    farthest_m = off_m;
-    a = v;
-    b = w;
+    edges[k] = {-off_m, k};
   }
-  if (a == kNone) return;
-  // Another chord may have been split there.
-  const TetId t = mesh_.find_edge(a, b);
-  cut_.work += cost::kFindEdge;
-  if (t == kNone || cut_.worst_after_split(t, a, b, 0.5, kSnapFloor) > kSnapFloor) return;
-  editor_.split(t, a, b, 0.5, MeshEditor::NewVertex::kInBend);
+  std::sort(edges.begin(), edges.end());
+  for (const auto& [minus_off_m, k] : edges) {
+    const VertexId a = face[k], b = face[(k + 1) % 3];
+    if (-minus_off_m <= kChordEdge_h * cut_.h) return;
+    if (cut_.stands(a) && cut_.stands(b)) continue;
+    // Another chord may have been split there.
+    const TetId t = mesh_.find_edge(a, b);
+    cut_.work += cost::kFindEdge;
+    if (t == kNone) return;
+    if (cut_.worst_after_split(t, a, b, 0.5, kSnapFloor) > kSnapFloor) continue;
+    editor_.split(t, a, b, 0.5, MeshEditor::NewVertex::kInBend);
+    return;
+  }
 }
 
 // The faces of t that may separate: those with all vertices on the surface, or put on what was swept before, or one at which a crossing could not
