@@ -7,12 +7,15 @@
 #include "server/core/stroke/swept_triangle.hpp"
 #include "tests/bench/bench_util.hpp"
 #include "tests/bench/benches.hpp"
-#include "tests/bench/random_cut.hpp"
 #include "tests/oracle/judge.hpp"
+#include "tests/oracle/random_cut.hpp"
 
 // Random cuts right through any mesh, judged by geometry: pieces, deviation, growth, angles, time.
 namespace incise::bench {
 namespace {
+
+using oracle::RandomCut;
+using oracle::Shape;
 
 struct Setting {
   std::string name;

@@ -10,6 +10,7 @@
 #include <map>
 #include <numbers>
 #include <optional>
+#include <span>
 #include <string>
 #include <utility>
 #include <vector>
@@ -22,6 +23,7 @@
 #include "tests/oracle/hands.hpp"
 #include "tests/oracle/judge.hpp"
 #include "tests/oracle/meetings.hpp"
+#include "tests/oracle/random_cut.hpp"
 #include "tests/support/bodies.hpp"
 
 // Random cuts that meet, in the small body of tests/replay. `incise-bench meet --mesh tests/replay/body.node --kind KIND --seed SEED
@@ -968,6 +970,38 @@ TEST(MeetingChords, AreSplitWhereCutsMeet) {
               {"wound_1476", "spiral", 396208},
               {"wound_1476", "box", 396207},
               {"armadillo_3717", "box", 390005}});
+}
+
+// One sweep right through, alone: parts of 1 to 22 h^3 hung by faces 0.06 to 0.12 h off it. What hangs by one that is farther off is a lobe of the body.
+TEST(CutsThatAreAlone, PartWhatTheySweepAndLeaveLobes) {
+  const char* folder = std::getenv("INCISE_DATA");
+  if (folder == nullptr) GTEST_SKIP() << "INCISE_DATA names no folder with meshes";
+  const core::MeshData real = mesh_io::load_mesh(std::string(folder) + "/meshes/armadillo_3717", {}).mesh;
+  const Body loaded(real);
+  core::CutConfig config;
+  config.always_engaged = true;
+  config.speed_limit_m_s = config.gap_limit_s = 1e9;
+  struct Once {
+    Shape shape;
+    int segments;
+    std::uint64_t seed;
+  };
+  const Once parted[] = {{Shape::kCurved, 10, 723}, {Shape::kCurved, 100, 717}, {Shape::kBoth, 10, 818},
+                         {Shape::kBoth, 100, 807},  {Shape::kPlanar, 10, 909},  {Shape::kTwisted, 100, 902}};
+  const Once left_whole[] = {
+      {Shape::kTwisted, 10, 802}, {Shape::kTwisted, 10, 839}, {Shape::kBoth, 100, 805}};
+  for (std::span<const Once> list : {std::span<const Once>(parted), std::span<const Once>(left_whole)}) {
+    for (const Once& once : list) {
+      const RandomCut cut(real, once.shape, once.segments, once.seed);
+      core::CutSession session(real, config);
+      cut.push(session);
+      drain(session);
+      const Stroke stroke{cut.lines()};
+      const Verdict v = judge(loaded, {&stroke, 1}, session.mesh());
+      EXPECT_TRUE(v.right()) << to_string(once.shape) << ", " << once.segments << " segments, seed "
+                             << once.seed << ": " << to_string(v);
+    }
+  }
 }
 
 // The gap between the place where a blade turns back and an older cut may be closed.

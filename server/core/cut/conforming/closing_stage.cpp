@@ -17,6 +17,7 @@ void ClosingStage::begin(std::span<const HalfFace> opened) {
   for (HalfFace h : opened) list_around(h);
   gaps_.clear();
   rest_.clear();
+  left_.clear();
   faces_.clear();
   doubtful_.clear();
   together_.clear();
@@ -89,9 +90,9 @@ bool ClosingStage::advance(WorkBudget& budget) {
         go(Phase::kCollectAroundHeld);
         return false;
       }
-      // A sweep that is alone leaves ribs: what hangs together by one is a lobe of the body as it grew.
-      if (cut_.has_front || !cut_.meets_cut) return true;
+      if (cut_.has_front) return true;
       if (round_ == Kind::kNeck) {
+        if (!cut_.meets_cut) return true;
         looked_at_.clear();
         go(Phase::kFindBridges);
         return false;
@@ -160,6 +161,11 @@ bool ClosingStage::collect_held(HeldFaces& held, Kind kind, WorkBudget& budget) 
     if (!mesh_.alive(tet_of(h)) || mesh_.opposite(h) == kNone || cut_.is_pending(h) || !all_at_boundary(h) ||
         distance(mesh_.face_middle(h), middle) > HeldFaces::kSame_h * cut_.h)
       continue;
+    // What hangs together farther off a sweep that is alone is a lobe of the body as it grew.
+    if (!cut_.meets_cut && kind != Kind::kAcross && off_m > kOffAlone_h * cut_.h) {
+      left_.push_back(held[next_]);
+      continue;
+    }
     Gap gap{off_m, h, meets, true, kind};
     // What was farther off when it was seen may lie on what has been swept since.
     Gap now{0, h, false, false, Kind::kAcross};
@@ -175,6 +181,8 @@ bool ClosingStage::collect_held(HeldFaces& held, Kind kind, WorkBudget& budget) 
       list_around(h);
   }
   held.clear();
+  for (const HeldFace& left : left_) held.push(left);
+  left_.clear();
   return true;
 }
 

@@ -152,6 +152,7 @@ class ClosingStage {
   // by some of these with the other.
   std::vector<Gap> rest_;
   bool hangs_between_ = false;
+  std::vector<HeldFace> left_;   // for a stroke that comes upon a cut
   std::vector<HalfFace> faces_;  // to open
   // Faces of this stroke that the surface passes by, and that had to stay closed when it had: some may hold parts together with others.
   std::vector<HalfFace> suspects_;

@@ -121,8 +121,7 @@ void TissueGrid::list_rims() {
 void TissueGrid::lead_on(const Rim& rim) {
   list_beside(rim);
   if (beside_.empty()) return;
-  const int count =
-      std::max(1, static_cast<int>(std::ceil(distance(rim.a, rim.b) / (kNeckRim_h * cut_.h))));
+  const int count = std::max(1, static_cast<int>(std::ceil(distance(rim.a, rim.b) / (kNeckRim_h * cut_.h))));
   const auto at = [&](double i) { return lerp(rim.a, rim.b, i / count); };
   const auto leads = [&](int i) {
     const Vec3 middle = at(i + 0.5);

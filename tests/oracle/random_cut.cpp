@@ -1,4 +1,4 @@
-#include "tests/bench/random_cut.hpp"
+#include "tests/oracle/random_cut.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -7,7 +7,7 @@
 
 #include "server/base/check.hpp"
 
-namespace incise::bench {
+namespace incise::oracle {
 
 using core::Vec3;
 
@@ -110,4 +110,4 @@ std::vector<core::BladeLine> RandomCut::lines() const {
   return lines;
 }
 
-}  // namespace incise::bench
+}  // namespace incise::oracle

@@ -9,7 +9,7 @@
 
 // Random cuts right through a body, with what geometry says about each: the sweep is a surface that is known in closed
 // form, so nothing of the cutter's own is needed to judge it.
-namespace incise::bench {
+namespace incise::oracle {
 
 enum class Shape { kPlanar, kTwisted, kCurved, kBoth };
 const char* to_string(Shape shape);
@@ -21,7 +21,7 @@ class RandomCut {
   // eighth of the body. The same seed gives the same cut, however many segments describe it.
   RandomCut(const core::MeshData& mesh, Shape shape, int segments, std::uint64_t seed);
 
-  // Pushes it into source 0, and ends the stroke. The session wants bench_config().
+  // Pushes it into source 0, and ends the stroke. The session is always engaged, and has no limits of speed and of gaps.
   void push(core::CutSession& session) const;
 
   // How far p lies off the swept surface, along the normal at the nearest blade line, m: positive on one side. The
@@ -39,4 +39,4 @@ class RandomCut {
   int segments_ = 1;
 };
 
-}  // namespace incise::bench
+}  // namespace incise::oracle
