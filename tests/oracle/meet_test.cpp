@@ -972,7 +972,7 @@ TEST(MeetingChords, AreSplitWhereCutsMeet) {
               {"armadillo_3717", "box", 390005}});
 }
 
-// One sweep right through, alone: parts of 1 to 22 h^3 hung by faces 0.06 to 0.12 h off it. What hangs by one that is farther off is a lobe of the body.
+// One sweep right through, alone: parts of 1 to 22 h^3 hung by faces up to 0.15 h off it. What hangs by one that is farther off is a lobe of the body.
 TEST(CutsThatAreAlone, PartWhatTheySweepAndLeaveLobes) {
   const char* folder = std::getenv("INCISE_DATA");
   if (folder == nullptr) GTEST_SKIP() << "INCISE_DATA names no folder with meshes";
@@ -987,7 +987,8 @@ TEST(CutsThatAreAlone, PartWhatTheySweepAndLeaveLobes) {
     std::uint64_t seed;
   };
   const Once parted[] = {{Shape::kCurved, 10, 723}, {Shape::kCurved, 100, 717}, {Shape::kBoth, 10, 818},
-                         {Shape::kBoth, 100, 807},  {Shape::kPlanar, 10, 909},  {Shape::kTwisted, 100, 902}};
+                         {Shape::kBoth, 100, 807},  {Shape::kPlanar, 10, 909},  {Shape::kTwisted, 100, 902},
+                         {Shape::kBoth, 10, 934}};
   const Once left_whole[] = {
       {Shape::kTwisted, 10, 802}, {Shape::kTwisted, 10, 839}, {Shape::kBoth, 100, 805}};
   for (std::span<const Once> list : {std::span<const Once>(parted), std::span<const Once>(left_whole)}) {

@@ -139,7 +139,7 @@ inline constexpr double kRemembered_h = 0.2;
 // How thick a rib between a sweep and the boundary may be, where it is parted far from the ends of a sweep.
 inline constexpr double kRib_h = 0.21;
 // So far off a sweep that has come upon nothing a rib or a neck may be.
-inline constexpr double kOffAlone_h = 0.125;
+inline constexpr double kOffAlone_h = 0.15;
 // The least volume of a part.
 inline constexpr double kLeastPart_h3 = 0.25;
 // A tetrahedron this near to the surface may be on either side of it.
