@@ -1,8 +1,8 @@
 #include "server/core/cut/conforming/opening_stage.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
-#include <utility>
 
 namespace incise::core {
 
@@ -160,20 +160,26 @@ bool OpeningStage::refine(WorkBudget& budget) {
 
 // Splits the edge that is farthest off the surface, or the next one where that leaves too flat a tetrahedron.
 void OpeningStage::split_chord(const std::array<VertexId, 3>& face) {
-  std::array<std::pair<double, std::size_t>, 3>
-      edges;  // how far each is off, and its first vertex in the face
+  struct Edge {
+    double off_m;
+    std::size_t first;  // its first vertex, in the face
+    bool operator<(const Edge& other) const {
+      return off_m != other.off_m ? off_m > other.off_m : first < other.first;
+    }
+  };
+  std::array<Edge, 3> edges;
   for (std::size_t k = 0; k < 3; ++k) {
     Vec3 closest;
     std::uint32_t triangle = 0;
     const Vec3 middle = lerp(mesh_.position(face[k]), mesh_.position(face[(k + 1) % 3]), 0.5);
     cut_.work += cost::kNearby;
     const double off_m = cut_.closest_on_surface(middle, closest, triangle) ? distance(middle, closest) : 0;
-    edges[k] = {-off_m, k};
+    edges[k] = {off_m, k};
   }
   std::sort(edges.begin(), edges.end());
-  for (const auto& [minus_off_m, k] : edges) {
-    const VertexId a = face[k], b = face[(k + 1) % 3];
-    if (-minus_off_m <= kChordEdge_h * cut_.h) return;
+  for (const auto& [off_m, first] : edges) {
+    const VertexId a = face[first], b = face[(first + 1) % 3];
+    if (off_m <= kChordEdge_h * cut_.h) return;
     if (cut_.stands(a) && cut_.stands(b)) continue;
     // Another chord may have been split there.
     const TetId t = mesh_.find_edge(a, b);
