@@ -1,7 +1,6 @@
 #include "server/core/cut/conforming/closing_stage.hpp"
 
 #include <algorithm>
-#include <array>
 #include <bit>
 #include <cmath>
 #include <utility>
@@ -93,7 +92,7 @@ bool ClosingStage::advance(WorkBudget& budget) {
       if (cut_.has_front) return true;
       if (round_ == Kind::kNeck) {
         if (!cut_.meets_cut) return true;
-        looked_at_.clear();
+        suspects_.begin();
         go(Phase::kFindBridges);
         return false;
       }
@@ -206,7 +205,7 @@ void ClosingStage::consider_faces(TetId t) {
 void ClosingStage::consider(HalfFace h) {
   const HalfFace o = mesh_.opposite(h);
   if (waits(h) || cut_.is_pending(h) || has_to_wait(h)) return;
-  suspect(h);
+  suspects_.keep(h);
   Gap gap{0, h, false, false, Kind::kAcross};
   if (!may_close(gap)) {
     gap = {0, h, false, false, Kind::kNeck};
@@ -391,62 +390,14 @@ bool ClosingStage::look_far(WorkBudget& budget) {
   return true;
 }
 
-// Keeps a face for the end of the stroke. It may be considered often.
-void ClosingStage::suspect(HalfFace h) {
-  const std::size_t newest = std::min<std::size_t>(suspects_.size(), 64);
-  if (std::ranges::count(std::span(suspects_).last(newest), h) > 0) return;
-  if (suspects_.size() == kMostBridges)
-    suspects_.erase(suspects_.begin(), suspects_.begin() + kMostBridges / 4);
-  suspects_.push_back(h);
-}
-
-// Whether something was swept close by a closed face and between its sides: a large one, for small elements follow what is swept.
-bool ClosingStage::may_hold_together(HalfFace h) const {
-  const auto v = mesh_.face_vertices(h);
-  const auto is_long = [&](VertexId a, VertexId b) {
-    return distance(mesh_.position(a), mesh_.position(b)) >= kBridgeEdge_h * cut_.h;
-  };
-  if (!is_long(v[0], v[1]) && !is_long(v[1], v[2]) && !is_long(v[2], v[0])) return false;
-  const Vec3 middle = mesh_.face_middle(h);
-  const Vec3 from = reference_point(cut_, tet_of(h)), to = reference_point(cut_, tet_of(mesh_.opposite(h)));
-  const double near_m = kBridgeBeside_h * cut_.h;
-  std::size_t looked_at = 0;
-  const auto passes_between = [&](const SweptMemory::Quad& quad) {
-    return std::ranges::any_of(quad.triangles(), [&](const std::array<Vec3, 3>& triangle) {
-      const auto& [a, b, c] = triangle;
-      const Vec3 across = cross(b - a, c - a);
-      if ((dot(across, from - a) >= 0) == (dot(across, to - a) >= 0) ||
-          squared_length(closest_point(middle, a, b, c) - middle) > near_m * near_m)
-        return false;
-      const Vec3 normal = normalized(across);
-      // Beside other sweeps there is little to hold together.
-      return std::ranges::all_of(
-          std::array{kBridgeDepth_h * cut_.h, -kBridgeDepth_h * cut_.h}, [&](double by_m) {
-            return cut_.workspace.swept.stroke_at(middle + by_m * normal, kBridgeClear_h * cut_.h,
-                                                  looked_at) == 0;
-          });
-    });
-  };
-  const bool may =
-      cut_.workspace.swept.any_in(Box::around({middle}).widened(near_m), looked_at, passes_between);
-  cut_.work.add(looked_at, cost::kQuadsAUnit);
-  return may;
-}
-
 // Opens what holds parts together though no single face does.
 bool ClosingStage::find_bridges(WorkBudget& budget) {
   while (bridges_.is_looking() || next_suspect(budget)) {
     if (!bridges_.advance(budget)) return false;
     const std::span<const HalfFace> faces = bridges_.faces();
-    if (!parts_something(faces)) continue;
-    for (HalfFace g : faces) others_.push_back(mesh_.opposite(g));
-    editor_.open(faces);
-    for (std::span<const HalfFace> opened : {faces, std::span<const HalfFace>(others_)}) {
-      for (HalfFace g : opened) list_pinched(g);
-    }
-    others_.clear();
+    if (parts_something(faces)) open(faces);
   }
-  if (next_ < suspects_.size() && looked_at_.size() < kMaxBridges) return false;
+  if (!suspects_.is_done()) return false;
   suspects_.clear();
   return true;
 }
@@ -470,17 +421,11 @@ bool ClosingStage::parts_something(std::span<const HalfFace> faces) {
   return parts;
 }
 
-// Begins to look around the next one that may be part of a bridge, away from those that were looked at. False: there is none, the budget is spent, or the part
-// of the batch is full.
+// Begins to look around the next one. False: there is none, the budget is spent, or the part of the batch is full.
 bool ClosingStage::next_suspect(WorkBudget& budget) {
-  const double apart_m = kBridgesApart_h * cut_.h;
-  while (next_ < suspects_.size() && looked_at_.size() < kMaxBridges && goes_on(budget)) {
-    const HalfFace h = suspects_[next_++];
-    if (!mesh_.alive(tet_of(h)) || mesh_.opposite(h) == kNone) continue;
-    const Vec3 middle = mesh_.face_middle(h);
-    const auto is_near = [&](const Vec3& p) { return distance(p, middle) < apart_m; };
-    if (std::ranges::any_of(looked_at_, is_near) || !may_hold_together(h)) continue;
-    looked_at_.push_back(middle);
+  while (!suspects_.is_done() && goes_on(budget)) {
+    const HalfFace h = suspects_.next();
+    if (h == kNone) continue;
     bridges_.begin(h);
     return true;
   }
@@ -536,20 +481,23 @@ bool ClosingStage::open(WorkBudget& budget) {
   while (next_ < faces_.size()) {
     if (!goes_on(budget)) return false;
     const std::size_t end = std::min(next_ + kOpenChunk, faces_.size());
-    std::span<const HalfFace> faces(faces_.data() + next_, end - next_);
-    for (HalfFace h : faces) others_.push_back(mesh_.opposite(h));
-    editor_.open(faces);
-    for (std::span<const HalfFace> opened : {faces, std::span<const HalfFace>(others_)}) {
-      for (HalfFace h : opened) {
-        list_pinched(h);
-        list_around(h);
-      }
-    }
-    others_.clear();
+    open(std::span<const HalfFace>(faces_.data() + next_, end - next_));
     next_ = end;
   }
   faces_.clear();
   return true;
+}
+
+void ClosingStage::open(std::span<const HalfFace> faces) {
+  for (HalfFace h : faces) others_.push_back(mesh_.opposite(h));
+  editor_.open(faces);
+  for (std::span<const HalfFace> opened : {faces, std::span<const HalfFace>(others_)}) {
+    for (HalfFace h : opened) {
+      list_pinched(h);
+      list_around(h);
+    }
+  }
+  others_.clear();
 }
 
 void ClosingStage::list_pinched(HalfFace opened) {
@@ -566,10 +514,7 @@ void ClosingStage::archive(Archive& io) {
     io.demand(tet_of(w.face) < mesh_.tet_slots(), "a waiting face of no tetrahedron");
     if (io.reads() && !io.failed() && marked) set_waits(w.face, true);
   });
-  io.list(suspects_, 4, [&](HalfFace& h) {
-    io(h);
-    io.demand(tet_of(h) < mesh_.tet_slots(), "a suspect face of no tetrahedron");
-  });
+  suspects_.archive(io);
 }
 
 }  // namespace incise::core

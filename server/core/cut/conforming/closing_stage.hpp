@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "server/core/cut/conforming/bridge_finder.hpp"
+#include "server/core/cut/conforming/bridge_suspects.hpp"
 #include "server/core/cut/conforming/cut_context.hpp"
 #include "server/core/cut/conforming/hole_finder.hpp"
 #include "server/core/cut/conforming/mesh_editor.hpp"
@@ -31,6 +32,7 @@ class ClosingStage {
         sides_(cut),
         grid_(cut),
         neck_(cut, grid_),
+        suspects_(cut),
         bridges_(cut, grid_),
         holes_(cut) {}
 
@@ -98,6 +100,7 @@ class ClosingStage {
   bool judge(WorkBudget& budget);
   bool look_far(WorkBudget& budget);
   bool open(WorkBudget& budget);
+  void open(std::span<const HalfFace> faces);
   bool goes_on(WorkBudget& budget);
   void consider_faces(TetId t);
   void consider(HalfFace h);
@@ -128,8 +131,6 @@ class ClosingStage {
   bool stays_closed(const Gap& gap, HalfFace h, std::span<const TetId> part);
   bool may_lead_through(const Gap& gap);
   void keep_rest_closed();
-  void suspect(HalfFace h);
-  bool may_hold_together(HalfFace h) const;
   bool find_bridges(WorkBudget& budget);
   bool next_suspect(WorkBudget& budget);
   bool parts_something(std::span<const HalfFace> faces);
@@ -154,9 +155,6 @@ class ClosingStage {
   bool hangs_between_ = false;
   std::vector<HeldFace> left_;   // for a stroke that comes upon a cut
   std::vector<HalfFace> faces_;  // to open
-  // Faces of this stroke that the surface passes by, and that had to stay closed when it had: some may hold parts together with others.
-  std::vector<HalfFace> suspects_;
-  std::vector<Vec3> looked_at_;  // where bridges were looked for, when the stroke ended
   std::vector<Gap> doubtful_;    // between two large parts, when the stroke ends
   TetPass pass_;                 // whose faces have been considered
   std::uint32_t nearest_ = 0;    // the surface's triangle that is_near() has found
@@ -164,6 +162,7 @@ class ClosingStage {
   TwoSides sides_;
   TissueGrid grid_;
   Neck neck_;
+  BridgeSuspects suspects_;
   BridgeFinder bridges_;
   HoleFinder holes_;
   std::size_t asked_ = 0;  // how many faces Neck was asked about in this batch

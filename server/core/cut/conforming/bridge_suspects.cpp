@@ -1,0 +1,71 @@
+#include "server/core/cut/conforming/bridge_suspects.hpp"
+
+#include <algorithm>
+#include <array>
+#include <span>
+
+#include "server/core/cut/conforming/films.hpp"
+
+namespace incise::core {
+
+using namespace tolerance;
+
+void BridgeSuspects::keep(HalfFace h) {
+  const std::size_t newest = std::min<std::size_t>(faces_.size(), 64);
+  if (std::ranges::count(std::span(faces_).last(newest), h) > 0) return;
+  if (faces_.size() == kMostBridges) faces_.erase(faces_.begin(), faces_.begin() + kMostBridges / 4);
+  faces_.push_back(h);
+}
+
+HalfFace BridgeSuspects::next() {
+  const HalfFace h = faces_[next_++];
+  if (!mesh_.alive(tet_of(h)) || mesh_.opposite(h) == kNone) return kNone;
+  const Vec3 middle = mesh_.face_middle(h);
+  const double apart_m = kBridgesApart_h * cut_.h;
+  const auto is_near = [&](const Vec3& p) { return distance(p, middle) < apart_m; };
+  if (std::ranges::any_of(places_, is_near) || !may_hold_together(h)) return kNone;
+  places_.push_back(middle);
+  return h;
+}
+
+// Whether something was swept close by a closed face and between its sides: a large one, for small elements follow what is swept.
+bool BridgeSuspects::may_hold_together(HalfFace h) const {
+  const auto v = mesh_.face_vertices(h);
+  const auto is_long = [&](VertexId a, VertexId b) {
+    return distance(mesh_.position(a), mesh_.position(b)) >= kBridgeEdge_h * cut_.h;
+  };
+  if (!is_long(v[0], v[1]) && !is_long(v[1], v[2]) && !is_long(v[2], v[0])) return false;
+  const Vec3 middle = mesh_.face_middle(h);
+  const Vec3 from = reference_point(cut_, tet_of(h)), to = reference_point(cut_, tet_of(mesh_.opposite(h)));
+  const double near_m = kBridgeBeside_h * cut_.h;
+  std::size_t looked_at = 0;
+  const auto passes_between = [&](const SweptMemory::Quad& quad) {
+    return std::ranges::any_of(quad.triangles(), [&](const std::array<Vec3, 3>& triangle) {
+      const auto& [a, b, c] = triangle;
+      const Vec3 across = cross(b - a, c - a);
+      if ((dot(across, from - a) >= 0) == (dot(across, to - a) >= 0) ||
+          squared_length(closest_point(middle, a, b, c) - middle) > near_m * near_m)
+        return false;
+      const Vec3 normal = normalized(across);
+      // Beside other sweeps there is little to hold together.
+      return std::ranges::all_of(
+          std::array{kBridgeDepth_h * cut_.h, -kBridgeDepth_h * cut_.h}, [&](double by_m) {
+            return cut_.workspace.swept.stroke_at(middle + by_m * normal, kBridgeClear_h * cut_.h,
+                                                  looked_at) == 0;
+          });
+    });
+  };
+  const bool may =
+      cut_.workspace.swept.any_in(Box::around({middle}).widened(near_m), looked_at, passes_between);
+  cut_.work.add(looked_at, cost::kQuadsAUnit);
+  return may;
+}
+
+void BridgeSuspects::archive(Archive& io) {
+  io.list(faces_, 4, [&](HalfFace& h) {
+    io(h);
+    io.demand(tet_of(h) < mesh_.tet_slots(), "a suspect face of no tetrahedron");
+  });
+}
+
+}  // namespace incise::core
