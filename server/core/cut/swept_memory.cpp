@@ -34,7 +34,7 @@ void SweptMemory::add(std::span<const BladeLine> lines, std::uint32_t stroke, do
     const std::size_t before = newest_that_ends_at(from, stroke);
     if (before != quads_.size() && go_on(quads_[before], to, chord_m)) {
       list_rims(quads_[before], chord_m, box);
-      enclose(before / kBlock);
+      enclose_quad(before);
       return;
     }
     list_rims(quad, chord_m, box);
@@ -84,12 +84,25 @@ void SweptMemory::list_rims(Quad& quad, double chord_m, const Box& box) {
 void SweptMemory::add(const Quad& quad) {
   if (quads_.size() < kMost) {
     quads_.push_back(quad);
-    enclose((quads_.size() - 1) / kBlock);
+    enclose_quad(quads_.size() - 1);
     return;
   }
   quads_[oldest_] = quad;
-  enclose(oldest_ / kBlock);
+  enclose_quad(oldest_);
   oldest_ = (oldest_ + 1) % kMost;
+}
+
+void SweptMemory::enclose() {
+  slabs_.resize(quads_.size());
+  for (std::size_t i = 0; i < quads_.size(); ++i) slabs_[i] = slabs_of({&quads_[i], 1}, quads_[i].box());
+  for (std::size_t block = 0; block * kBlock < quads_.size(); ++block) enclose(block);
+}
+
+// What is around one that is new or goes on.
+void SweptMemory::enclose_quad(std::size_t quad) {
+  slabs_.resize(quads_.size());
+  slabs_[quad] = slabs_of({&quads_[quad], 1}, quads_[quad].box());
+  enclose(quad / kBlock);
 }
 
 void SweptMemory::enclose(std::size_t number) {
@@ -111,7 +124,7 @@ void SweptMemory::enclose(std::size_t number) {
   block.slabs = slabs_of(std::span(quads_).subspan(number * kBlock, stop - number * kBlock), block.all);
 }
 
-std::array<SweptMemory::Slab, 2> SweptMemory::slabs_of(std::span<const Quad> quads, const Box& around) {
+SweptMemory::Slabs SweptMemory::slabs_of(std::span<const Quad> quads, const Box& around) {
   Vec3 sum{};
   for (const Quad& quad : quads) {
     const Vec3 normal = cross(quad.to.tip - quad.from.heel, quad.to.heel - quad.from.tip);
@@ -119,7 +132,7 @@ std::array<SweptMemory::Slab, 2> SweptMemory::slabs_of(std::span<const Quad> qua
     sum += dot(normal, sum) < 0 ? -normal : normal;
   }
   const Vec3 first = quads.front().from.tip - quads.front().from.heel;
-  std::array<Slab, 2> slabs;
+  Slabs slabs;
   if (squared_length(sum) > 0) slabs[0].axis = normalized(sum);
   const Vec3 motion = cross(slabs[0].axis, first);
   if (squared_length(motion) > 0) slabs[1].axis = normalized(motion);

@@ -60,6 +60,7 @@ class SweptMemory {
 
   SweptMemory() {
     quads_.reserve(kMost);
+    slabs_.reserve(kMost);
     blocks_.reserve(kMost / kBlock);
   }
 
@@ -69,8 +70,8 @@ class SweptMemory {
   // The next quad, from this one on, that has a free rim and lies in a block whose free rims may meet the box; quads().size(): none. `looked_at`: increased by
   // the blocks that were looked at.
   std::size_t next_with_free_rim(std::size_t quad, const Box& box, std::size_t& looked_at) const;
-  // Calls visit(quad) for those whose boxes meet this one, until it says true; returns that. `looked_at`: increased by the blocks and the
-  // quads that were looked at.
+  // Calls visit(quad) for all that have a point in the box, and some others near it, until it says true; returns that. `looked_at`: increased by the
+  // blocks and the quads that were looked at.
   template <class Visit>
   bool any_in(const Box& box, std::size_t& looked_at, Visit visit) const {
     looked_at += blocks_.size();
@@ -79,7 +80,7 @@ class SweptMemory {
       const std::size_t end = std::min(quads_.size(), (block + 1) * kBlock);
       looked_at += end - block * kBlock;
       for (std::size_t i = block * kBlock; i < end; ++i) {
-        if (quads_[i].box().meets(box) && visit(quads_[i])) return true;
+        if (meet(slabs_[i], box) && quads_[i].box().meets(box) && visit(quads_[i])) return true;
       }
     }
     return false;
@@ -104,9 +105,7 @@ class SweptMemory {
       visit(quad.to, quad.anchors[1]);
     }
   }
-  void enclose() {
-    for (std::size_t block = 0; block * kBlock < quads_.size(); ++block) enclose(block);
-  }
+  void enclose();
   // Forgets the quads for which is_lost(anchors) holds.
   template <class IsLost>
   void forget_if(IsLost is_lost) {
@@ -129,7 +128,7 @@ class SweptMemory {
  private:
   static constexpr std::size_t kMost = 4096, kBlock = 16;
 
-  // Planes around kBlock quads: across their mean normal, and across their motion. A blade is long and lies along no axis, and boxes alone let
+  // Planes around a quad, or kBlock of them: across their mean normal, and across their motion. A blade is long and lies along no axis, and boxes alone let
   // through most of what it has swept.
   struct Slab {
     Vec3 axis{};  // none: it lets everything through
@@ -142,21 +141,25 @@ class SweptMemory {
       return at - reach <= high && at + reach >= low;
     }
   };
+  using Slabs = std::array<Slab, 2>;
+  static bool meet(const Slabs& slabs, const Box& box) { return slabs[0].meets(box) && slabs[1].meets(box); }
   struct Block {
     Box all;                       // around kBlock quads
-    std::array<Slab, 2> slabs;     // around them
+    Slabs slabs;                   // around them
     std::optional<Box> free_rims;  // around their free rims
 
-    bool meets(const Box& box) const { return all.meets(box) && slabs[0].meets(box) && slabs[1].meets(box); }
+    bool meets(const Box& box) const { return all.meets(box) && meet(slabs, box); }
   };
 
   void enclose(std::size_t block);
-  static std::array<Slab, 2> slabs_of(std::span<const Quad> quads, const Box& around);
+  void enclose_quad(std::size_t quad);
+  static Slabs slabs_of(std::span<const Quad> quads, const Box& around);
   std::size_t newest_that_ends_at(const BladeLine& line, std::uint32_t stroke) const;
   static bool go_on(Quad& quad, const BladeLine& to, double chord_m);
   static void list_rims(Quad& quad, double chord_m, const Box& box);
 
   std::vector<Quad> quads_;
+  std::vector<Slabs> slabs_;  // by quad: around it
   std::vector<Block> blocks_;
   std::size_t oldest_ = 0;  // when there are kMost: which the next one takes the place of
   bool is_whole_ = true;

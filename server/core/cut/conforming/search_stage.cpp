@@ -1,5 +1,6 @@
 #include "server/core/cut/conforming/search_stage.hpp"
 
+#include <algorithm>
 #include <bit>
 #include <cmath>
 
@@ -153,42 +154,41 @@ bool SearchStage::probe(TetId t) {
   bool meets = false;
   const double slack_m = (mesh_.cut_mask(t) != 0 ? kOne_h : kLies_h) * cut_.h;
   cut_.surface().any_latest_between(p, slack_m, [&](std::uint32_t index) {
-    const SweptTriangle& triangle = cut_.surface()[index];
-    const unsigned turns = (triangle.rim & SweptTriangle::kTurns) != 0 ? 1 : 0;
-    for (int k = 0; k < 3; ++k) {
-      if (((triangle.rim | turns) >> k & 1) == 0 || !may_meet_side(p, triangle, k)) continue;
-      const Rim rim = k > 0 ? Rim::kWay : turns != 0 ? Rim::kTurn : Rim::kLine;
-      rim_.probe(t, triangle.corners[k], triangle.corners[(k + 1) % 3], rim);
-    }
     meets = probe_triangle(t, p, slack_m, index) || meets;
     return false;
   });
   return meets;
 }
 
-// False where all of a tetrahedron is on one side of the line through a side of the triangle, in its plane or across that.
-bool SearchStage::may_meet_side(const FourPoints& p, const SweptTriangle& triangle, int side) const {
-  double off[4];
-  p.along(triangle.normal, triangle.offset, off);
-  if (FourPoints::least(off) > cut_.clear_m || FourPoints::most(off) < -cut_.clear_m) return false;
-  p.along(triangle.inward[side], triangle.inward_offset[side], off);
-  return FourPoints::least(off) <= cut_.clear_m && FourPoints::most(off) >= -cut_.clear_m;
+// How far the corners of a tetrahedron are above the plane of a swept triangle, and inside each of its sides.
+struct SearchStage::Beside {
+  double off[4], inside[3][4];
+};
+
+// Where the sweep's rim, and where it turns, may pass through the tetrahedron.
+void SearchStage::probe_rims(TetId t, const SweptTriangle& triangle, const Beside& at) {
+  const unsigned turns = (triangle.rim & SweptTriangle::kTurns) != 0 ? 1 : 0, sides = triangle.rim | turns;
+  if ((sides & 7) == 0 || FourPoints::least(at.off) > cut_.clear_m ||
+      FourPoints::most(at.off) < -cut_.clear_m)
+    return;
+  for (int k = 0; k < 3; ++k) {
+    // All of it may be on one side of the line through the triangle's side.
+    if ((sides >> k & 1) == 0 || FourPoints::least(at.inside[k]) > cut_.clear_m) continue;
+    const Rim rim = k > 0 ? Rim::kWay : turns != 0 ? Rim::kTurn : Rim::kLine;
+    rim_.probe(t, triangle.corners[k], triangle.corners[(k + 1) % 3], rim);
+  }
 }
 
 // Vertices that lie in the sweep already, since no edge crosses there, and those of an older cut's faces that run along it so near
 // that they are one with it.
-void SearchStage::note_standing(TetId t, const SweptTriangle& triangle, const double (&d)[4],
-                                double reach_m) {
+void SearchStage::note_standing(TetId t, const SweptTriangle& triangle, const Beside& at, double reach_m) {
   const auto& v = mesh_.vertices(t);
   const unsigned cut_faces = mesh_.cut_mask(t);
   for (int i = 0; i < 4; ++i) {
-    const double off_m = std::abs(d[i]);
-    if (off_m > reach_m || cut_.on_surface(v[i])) continue;
-    const Vec3& p = mesh_.position(v[i]);
-    bool over = true;
-    for (int k = 0; k < 3; ++k)
-      over = over && dot(triangle.inward[k], p) - triangle.inward_offset[k] >= -cut_.clear_m;
-    if (!over) continue;
+    const double off_m = std::abs(at.off[i]);
+    const bool over =
+        std::ranges::all_of(at.inside, [&](const auto& inside) { return inside[i] >= -cut_.clear_m; });
+    if (off_m > reach_m || !over || cut_.on_surface(v[i])) continue;
     bool stands = off_m <= (cut_faces != 0 ? kLiesAtCut_h : kLies_h) * cut_.h;
     // Around a crossing that this stroke could not deal with, faces open off its own surface.
     for (int f = 0; f < 4 && cut_faces != 0 && !stands && !cut_.failed(v[i]); ++f) {
@@ -206,34 +206,39 @@ bool SearchStage::probe_triangle(TetId t, const FourPoints& p, double slack_m, s
   const auto& v = mesh_.vertices(t);
   const SweptTriangle& triangle = cut_.surface()[index];
   const double clear = cut_.clear_m;
-  double d[4];
-  p.along(triangle.normal, triangle.offset, d);
-  if (FourPoints::nearest(d) <= slack_m) note_standing(t, triangle, d, slack_m);
+  Beside beside;
+  for (int k = 0; k < 3; ++k) {
+    p.along(triangle.inward[k], triangle.inward_offset[k], beside.inside[k]);
+    // Most of what lies behind the blade.
+    if (FourPoints::most(beside.inside[k]) < -clear) return false;
+  }
+  p.along(triangle.normal, triangle.offset, beside.off);
+  probe_rims(t, triangle, beside);
+  const double(&d)[4] = beside.off;
+  if (FourPoints::nearest(d) <= slack_m) note_standing(t, triangle, beside, slack_m);
   unsigned edges = kEdgesAcross[FourPoints::from(d, 0)];
   if (edges == 0) return false;
-  // It misses the triangle if all its corners are outside one side, or all places where its edges cross the plane. The second test is for what
-  // lies behind the blade: its corners reach over the line that the sweep went on from, its section with the plane does not.
+  // It misses the triangle if all places where its edges cross the plane are outside one side. That is for what reaches with its corners over the line
+  // that the sweep went on from, where its section with the plane does not.
   int ends[4][2], count = 0;
   double at[4], least[4];  // where on the edge, and how far inside the nearest side
-  bool beside = false;
-  for (int k = 0; k < 3; ++k) {
-    double inside[4], most = -INFINITY;
-    p.along(triangle.inward[k], triangle.inward_offset[k], inside);
-    if (FourPoints::most(inside) < -clear) return false;
-    for (; edges != 0; edges &= edges - 1, ++count) {
-      const int i = kEdgeVertices[std::countr_zero(edges)][0], j = kEdgeVertices[std::countr_zero(edges)][1];
-      ends[count][0] = i;
-      ends[count][1] = j;
-      at[count] = d[i] / (d[i] - d[j]);
-      least[count] = INFINITY;
-    }
+  for (; edges != 0; edges &= edges - 1, ++count) {
+    const int i = kEdgeVertices[std::countr_zero(edges)][0], j = kEdgeVertices[std::countr_zero(edges)][1];
+    ends[count][0] = i;
+    ends[count][1] = j;
+    at[count] = d[i] / (d[i] - d[j]);
+    least[count] = INFINITY;
+  }
+  bool passes_beside = false;
+  for (const auto& inside : beside.inside) {
+    double most = -INFINITY;
     for (int e = 0; e < count; ++e) {
       const double from = inside[ends[e][0]], x = from + at[e] * (inside[ends[e][1]] - from);
       least[e] = std::min(least[e], x);
       most = std::max(most, x);
     }
     if (most < -clear) return false;
-    beside = beside || most < 0;
+    passes_beside = passes_beside || most < 0;
   }
   for (int e = 0; e < count; ++e) {
     if (least[e] < -clear) continue;
@@ -245,7 +250,7 @@ bool SearchStage::probe_triangle(TetId t, const FourPoints& p, double slack_m, s
     if (sure || crosses(mesh_.position(v[i]), mesh_.position(v[j]), triangle))
       crossings_.add(v[i], v[j], t, index, at[e]);
   }
-  return !beside;
+  return !passes_beside;
 }
 
 }  // namespace incise::core

@@ -47,8 +47,9 @@ class SearchStage {
   bool end_of_rim(WorkBudget& budget);
   void enqueue(TetId t);
   bool probe(TetId t);
-  bool may_meet_side(const FourPoints& p, const SweptTriangle& triangle, int side) const;
-  void note_standing(TetId t, const SweptTriangle& triangle, const double (&d)[4], double reach_m);
+  struct Beside;
+  void probe_rims(TetId t, const SweptTriangle& triangle, const Beside& at);
+  void note_standing(TetId t, const SweptTriangle& triangle, const Beside& at, double reach_m);
   bool probe_triangle(TetId t, const FourPoints& p, double slack_m, std::uint32_t index);
 
   CutContext& cut_;

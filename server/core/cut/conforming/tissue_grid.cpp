@@ -11,6 +11,8 @@ namespace {
 
 // How far points are moved aside, of a step: far more than what is rounded.
 constexpr double kAside = 1e-3;
+// The square of how high a triangle is, of its longest edge: what is lower has no plane. And what is rounded in how far off a plane a point is.
+constexpr double kLine = 1e-12, kRounded = 1e-6;
 
 }  // namespace
 
@@ -66,7 +68,7 @@ std::size_t TissueGrid::fill(TetId t, std::uint8_t side) {
     const Vec3 &a = mesh_.position(v[0]), &b = mesh_.position(v[1]), &c = mesh_.position(v[2]);
     const bool is_skin = !(mesh_.cut_mask(t) >> f & 1);
     block(a, b, c, is_skin ? kBlocked | kBlockedBySkin : kBlocked);
-    if (is_skin) skin_.push_back({a, b, c, Box::around({a, b, c}).widened(gap_m())});
+    if (is_skin) skin_.push_back(wall(a, b, c, Box::around({a, b, c}).widened(gap_m())));
   }
   return count;
 }
@@ -88,6 +90,14 @@ void TissueGrid::block_swept() {
     list_walls(around);
     for (const Rim& rim : rims) lead_on(rim);
   }
+}
+
+TissueGrid::Triangle TissueGrid::wall(const Vec3& a, const Vec3& b, const Vec3& c, const Box& around) {
+  const Vec3 across = cross(b - a, c - a);
+  const double edges_m2 = std::max({squared_length(b - a), squared_length(c - b), squared_length(a - c)});
+  const bool is_line = squared_length(across) <= kLine * edges_m2 * edges_m2;
+  const Vec3 normal = is_line ? Vec3{} : normalized(across);
+  return {a, b, c, around, normal, dot(normal, a)};
 }
 
 // Lists the rims near the box of what was swept, and where sweeps begin and end.
@@ -150,7 +160,7 @@ void TissueGrid::list_walls(const Box& rims) {
   for (const Swept& swept : near_) {
     if (!swept.around.meets(rims)) continue;
     for (const auto& [a, b, c] : swept.quad->triangles())
-      walls_beside_.push_back({{a, b, c, swept.around}, swept.quad});
+      walls_beside_.push_back({wall(a, b, c, swept.around), swept.quad});
   }
   cut_.work.add(skin_.size() + near_.size(), cost::kWallsAUnit);
 }
@@ -169,8 +179,10 @@ void TissueGrid::list_beside(const Rim& rim) {
 }
 
 bool TissueGrid::is_near_beside(const Vec3& p) const {
+  const double gap = gap_m();
   return std::ranges::any_of(beside_, [&](const Triangle& t) {
-    return t.around.has(p) && squared_length(closest_point(p, t.a, t.b, t.c) - p) <= gap_m() * gap_m();
+    return t.around.has(p) && std::abs(dot(t.normal, p) - t.offset) <= (1 + kRounded) * gap &&
+           squared_length(closest_point(p, t.a, t.b, t.c) - p) <= gap * gap;
   });
 }
 

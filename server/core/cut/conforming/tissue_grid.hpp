@@ -76,10 +76,12 @@ class TissueGrid {
   void block_swept();
 
  private:
-  // What a rim may be led on to, and a box around all that is as near to it as that.
+  // What a rim may be led on to, a box around all that is as near to it as that, and its plane.
   struct Triangle {
     Vec3 a, b, c;
     Box around;
+    Vec3 normal;  // of length 1, or none where it is next to a line
+    double offset;
   };
   // Of what was swept from a to b. It may be led on away from the sweep, and to either side of it.
   struct Rim {
@@ -101,6 +103,7 @@ class TissueGrid {
     const auto at = [](int n) { return static_cast<std::size_t>(n); };
     return first_ + at(i) + step_[1] * at(j) + step_[2] * at(k);
   }
+  static Triangle wall(const Vec3& a, const Vec3& b, const Vec3& c, const Box& around);
   void list_rims();
   void lead_on(const Rim& rim);
   void list_walls(const Box& rims);
