@@ -17,12 +17,9 @@ void ActiveSet::tell_others(VertexId v, const Vec3& from) {
     if (other == this || other->entries_.empty()) continue;
     const std::uint32_t batch = other->first_batch_between(from, cut_.mesh.position(v));
     if (batch == kNone) continue;
-    const double since_m = other->cut_.path.travel_before_m(batch);
     cut_.mesh.star(v, star_);
     cut_.work.add(star_.size(), cost::kStarCornersAUnit);
-    for (const Corner corner : star_) {
-      if (!other->has(tet_of(corner))) other->append(tet_of(corner), since_m);
-    }
+    for (const Corner corner : star_) other->add(tet_of(corner), batch);
   }
 }
 

@@ -24,6 +24,10 @@ class ActiveSet {
   void add(TetId t) {
     if (!has(t)) append(t, cut_.path.travel_before_batch_m());
   }
+  // The same, where what has met it was swept in that batch.
+  void add(TetId t, std::uint32_t batch) {
+    if (!has(t)) append(t, cut_.path.travel_before_m(batch));
+  }
   // A vertex has been moved: where it has come through what another blade has swept and not parted yet, its edges cross that now, and that blade
   // has to look at its tetrahedra again.
   void tell_others(VertexId v, const Vec3& from);

@@ -18,6 +18,28 @@ void MeshEditor::judge_again(const VertexStar& star, VertexId v) {
   }
 }
 
+// v was moved, and is not on the surface: that may cross edges now of tetrahedra that it has not met, where v has come over the surface, past its rim too.
+void MeshEditor::take_what_is_crossed(const VertexStar& star, VertexId v) {
+  crossed_.clear();
+  const auto batch_across = [&](VertexId w) {
+    const auto known = std::ranges::find(crossed_, w, &std::pair<VertexId, std::uint32_t>::first);
+    if (known != crossed_.end()) return known->second;
+    std::uint32_t triangle = 0;
+    double at = 0;
+    const bool crosses =
+        cut_.find_crossing(mesh_.position(v), false, mesh_.position(w), cut_.on_surface(w), triangle, at);
+    crossed_.emplace_back(w, crosses ? cut_.surface()[triangle].batch : kNone);
+    return crossed_.back().second;
+  };
+  for (const VertexStar::Corner& c : star.corners()) {
+    if (active_.has(c.tet)) continue;
+    for (VertexId w : c.others) {
+      const std::uint32_t batch = batch_across(w);
+      if (batch != kNone) active_.add(c.tet, batch);
+    }
+  }
+}
+
 void MeshEditor::snap(const VertexStar& star, VertexId v, const Vec3& target) {
   const double worst = cut_.worst_at(star, target, kInverted, kFlat_local * star.local_h(), flat_);
   snap(star, v, target, worst, flat_);
@@ -70,6 +92,7 @@ void MeshEditor::move(const VertexStar& star, VertexId v, const Vec3& target) {
   active_.tell_others(v, star.position());
   ++cut_.workspace.vertices[v].moves;
   judge_again(star, v);
+  if (!cut_.on_surface(v)) take_what_is_crossed(star, v);
   for (const VertexStar::Corner& c : star.corners()) may_move_again(mesh_.vertices(c.tet));
   ++cut_.counts.repairs;
 }

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <span>
+#include <utility>
 #include <vector>
 
 #include "server/core/cut/conforming/active_set.hpp"
@@ -21,7 +22,8 @@ namespace incise::core {
 //                               the surface now; failed ones
 //   stand         -             what has three vertices on   -            -            -
 //                               the surface now
-//   move          its star      failed ones                  -            its star     -
+//   move          its star      failed ones, and what the    -            its star     -
+//                               surface crosses now
 //   split         the ring      the ring, new ones           new ones     -            the new vertex
 //   split_fan     -             new ones, where the ring is  new ones     -            -
 //   collapse      its star      its star                     its star and its star     -
@@ -97,6 +99,7 @@ class MeshEditor {
     for (VertexId v : vertices) cut_.workspace.vertices[v].tried = 0;
   }
   void judge_again(const VertexStar& star, VertexId v);
+  void take_what_is_crossed(const VertexStar& star, VertexId v);
   void remove_flat(TetId t, bool may_stay);
   bool film_hangs_by(std::span<const TetId> flat);
   bool hangs_together_around(TetId t, std::span<const TetId> flat);
@@ -114,6 +117,7 @@ class MeshEditor {
   Films films_;
   std::vector<TetId> flat_, too_flat_, crumb_, film_, ring_, new_tets_;  // scratch
   std::vector<std::uint32_t> star_;                                      // scratch
+  std::vector<std::pair<VertexId, std::uint32_t>> crossed_;              // scratch
 };
 
 }  // namespace incise::core
