@@ -12,7 +12,7 @@ void BridgeFinder::begin(HalfFace h) {
   face_ = h;
   faces_.clear();
   // Where a sweep ends, tissue goes round its rim: nearly all are told by little around them.
-  look_around(kBridgeNear_h);
+  look_around(0);
 }
 
 bool BridgeFinder::advance(WorkBudget& budget) {
@@ -24,10 +24,11 @@ bool BridgeFinder::advance(WorkBudget& budget) {
   return true;
 }
 
-void BridgeFinder::look_around(double reach_h) {
+void BridgeFinder::look_around(std::size_t look) {
   const Vec3 middle = mesh_.face_middle(face_);
-  reach_h_ = reach_h;
-  grid_.lay_out(Box{middle, middle}.widened(reach_h * cut_.h), kBridgeStep_h * cut_.h);
+  look_ = look;
+  grid_.lay_out(Box{middle, middle}.widened(kBridgeReach_h[look] * cut_.h), kBridgeStep_h * cut_.h);
+  near_ = Box{middle, middle}.widened((kBridgeReach_h[0] + 0.5 * kBridgeStep_h) * cut_.h);
   pass_.begin();
   pass_.add(tet_of(face_));
   tets_.assign(1, tet_of(face_));
@@ -68,7 +69,7 @@ void BridgeFinder::step() {
       if (end < points) return;
       list_parts();
       if (parts_.size() < 2) return go(Stage::kIdle);
-      if (reach_h_ < kBridgeReach_h) return look_around(kBridgeReach_h);
+      if (!is_last_look()) return look_around(look_ + 1);
       skin_roots_.resize(points);
       go(Stage::kUniteInSkin);
       return;
@@ -137,14 +138,14 @@ void BridgeFinder::find_clear(std::size_t end) {
   }
 }
 
-// Counts them by parts: near a face, what is clear, for there may be nothing that is deep.
+// Counts them by parts; before the last look what is clear near the face, for there may be nothing that is deep.
 void BridgeFinder::find_deep(std::size_t end) {
-  const int least = reach_h_ < kBridgeReach_h ? 1 : 2;
   cut_.work.add(end - next_, cost::kBridgePointsAUnit);
   for (; next_ < end; ++next_) {
     if (clear_[next_] == 0) continue;
     if (is_deep(next_)) clear_[next_] = 2;
-    if (clear_[next_] >= least) ++deep_[root_of(static_cast<std::uint32_t>(next_), roots_)];
+    if (is_last_look() ? clear_[next_] == 2 : near_.has(grid_.place(next_)))
+      ++deep_[root_of(static_cast<std::uint32_t>(next_), roots_)];
   }
 }
 
@@ -161,8 +162,7 @@ bool BridgeFinder::is_deep(std::size_t at) const {
 
 void BridgeFinder::list_parts() {
   parts_.clear();
-  const double least =
-      (reach_h_ < kBridgeReach_h ? kLeastPartNear_h3 : kLeastPart_h3) / std::pow(kBridgeStep_h, 3);
+  const double least = (is_last_look() ? kLeastPart_h3 : kLeastPartNear_h3) / std::pow(kBridgeStep_h, 3);
   for (std::uint32_t at = 0; at < deep_.size(); ++at) {
     if (deep_[at] >= least) parts_.push_back({at, deep_[at]});
   }

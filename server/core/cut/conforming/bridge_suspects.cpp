@@ -2,9 +2,12 @@
 
 #include <algorithm>
 #include <array>
+#include <cmath>
+#include <numbers>
 #include <span>
 
 #include "server/core/cut/conforming/films.hpp"
+#include "server/core/mesh/boundary_grid.hpp"
 
 namespace incise::core {
 
@@ -21,10 +24,11 @@ HalfFace BridgeSuspects::next() {
   const HalfFace h = faces_[next_++];
   if (!mesh_.alive(tet_of(h)) || mesh_.opposite(h) == kNone) return kNone;
   const Vec3 middle = mesh_.face_middle(h);
-  const double apart_m = kBridgesApart_h * cut_.h;
-  const auto is_near = [&](const Vec3& p) { return distance(p, middle) < apart_m; };
+  const auto is_near = [&](const Place& place) {
+    return distance(place.middle, middle) < kBridgesApart_h[place.look] * cut_.h;
+  };
   if (std::ranges::any_of(places_, is_near) || !may_hold_together(h)) return kNone;
-  places_.push_back(middle);
+  places_.push_back({middle, 0});
   return h;
 }
 
@@ -46,19 +50,36 @@ bool BridgeSuspects::may_hold_together(HalfFace h) const {
       if ((dot(across, from - a) >= 0) == (dot(across, to - a) >= 0) ||
           squared_length(closest_point(middle, a, b, c) - middle) > near_m * near_m)
         return false;
-      const Vec3 normal = normalized(across);
+      const Vec3 normal = normalized(across), along = normalized(b - a);
+      const auto is_clear = [&](double by_m) {
+        return cut_.workspace.swept.stroke_at(middle + by_m * normal, kBridgeClear_h * cut_.h, looked_at) ==
+               0;
+      };
       // Beside other sweeps there is little to hold together.
-      return std::ranges::all_of(
-          std::array{kBridgeDepth_h * cut_.h, -kBridgeDepth_h * cut_.h}, [&](double by_m) {
-            return cut_.workspace.swept.stroke_at(middle + by_m * normal, kBridgeClear_h * cut_.h,
-                                                  looked_at) == 0;
-          });
+      return is_clear(kBridgeDepth_h * cut_.h) && is_clear(-kBridgeDepth_h * cut_.h) &&
+             !leads_round(h, middle, along, cross(normal, along), looked_at);
     });
   };
   const bool may =
       cut_.workspace.swept.any_in(Box::around({middle}).widened(near_m), looked_at, passes_between);
   cut_.work.add(looked_at, cost::kQuadsAUnit);
   return may;
+}
+
+// Whether tissue leads from the face in the sweep's plane to where nothing was swept, near by: round a rim, as a rule.
+bool BridgeSuspects::leads_round(HalfFace h, const Vec3& middle, const Vec3& along, const Vec3& across,
+                                 std::size_t& looked_at) const {
+  const SweptMemory& swept = cut_.workspace.swept;
+  for (int k = 0; k < kBridgeRounds; ++k) {
+    const double turn = 2 * std::numbers::pi * k / kBridgeRounds;
+    const Vec3 end = middle + kBridgeRound_h * cut_.h * (std::cos(turn) * along + std::sin(turn) * across);
+    if (swept.stroke_at(end, kBridgeRoundOff_h * cut_.h, looked_at) != 0 ||
+        swept.crosses(middle, end, looked_at))
+      continue;
+    const auto pass = [this](TetId, double, double) { cut_.work += cost::kLook; };
+    if (walk(mesh_, tet_of(h), middle, end, pass, kMostWalked) != kNone) return true;
+  }
+  return false;
 }
 
 void BridgeSuspects::archive(Archive& io) {

@@ -24,17 +24,26 @@ class BridgeSuspects {
   bool is_done() const { return next_ == faces_.size() || places_.size() == tolerance::kMaxBridges; }
   // The next face, if it may be part of a bridge and lies away from those that were; else kNone.
   HalfFace next();
+  // Of the last one: how far was looked around it, BridgeFinder::look().
+  void was_looked_around(std::size_t look) { places_.back().look = look; }
 
   void archive(Archive& io);
 
  private:
+  struct Place {
+    Vec3 middle;
+    std::size_t look;
+  };
+
   bool may_hold_together(HalfFace h) const;
+  bool leads_round(HalfFace h, const Vec3& middle, const Vec3& along, const Vec3& across,
+                   std::size_t& looked_at) const;
 
   CutContext& cut_;
   const TetMesh& mesh_;
   std::vector<HalfFace> faces_;
   std::size_t next_ = 0;
-  std::vector<Vec3> places_;  // where bridges were looked for
+  std::vector<Place> places_;  // where bridges were looked for
 };
 
 }  // namespace incise::core

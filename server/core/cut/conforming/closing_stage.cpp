@@ -394,6 +394,7 @@ bool ClosingStage::look_far(WorkBudget& budget) {
 bool ClosingStage::find_bridges(WorkBudget& budget) {
   while (bridges_.is_looking() || next_suspect(budget)) {
     if (!bridges_.advance(budget)) return false;
+    suspects_.was_looked_around(bridges_.look());
     const std::span<const HalfFace> faces = bridges_.faces();
     if (parts_something(faces)) open(faces);
   }

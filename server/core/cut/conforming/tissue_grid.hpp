@@ -33,6 +33,11 @@ class TissueGrid {
   const Box& box() const { return box_; }
   double step_m() const { return step_m_; }
   std::size_t size() const { return sides_.size(); }
+  Vec3 place(std::size_t at) const {
+    const double i = static_cast<double>(at % step_[1]), j = static_cast<double>(at % step_[2] / step_[1]),
+                 k = static_cast<double>(at / step_[2]);
+    return box_.low + step_m_ * (Vec3{i, j, k} - Vec3{1, 1, 1});
+  }
   // How far apart in all lists two points are that are neighbours along an axis.
   std::size_t step(std::size_t axis) const { return step_[axis]; }
   // By point: 0 where there is no tissue, else what the caller has put there.

@@ -127,12 +127,16 @@ inline constexpr std::size_t kRimBlock = 8;
 // So many faces are asked about in a batch.
 inline constexpr std::size_t kMaxNecks = 16;
 // What holds two parts together by several faces (BridgeFinder). It is looked for around a face with an edge of kBridgeEdge_h whose middle is within kBridgeBeside_h of what was swept, if within
-// kBridgeClear_h of the points kBridgeDepth_h to either side nothing was; first within kBridgeNear_h, and, where two parts have kLeastPartNear_h3 there that is clear of
-// what was swept, within kBridgeReach_h, at points kBridgeStep_h apart. No vertex of a face that opens is farther off what was swept than kBridgeFar_h. Places are
-// kBridgesApart_h apart. So many faces are kept of a stroke, and so many places looked at when it ends; so often may what flows from part to part take another way.
-inline constexpr double kBridgeNear_h = 1, kLeastPartNear_h3 = 0.015, kBridgeReach_h = 3,
-                        kBridgeStep_h = 1.0 / 6, kBridgeBeside_h = 0.3, kBridgeFar_h = 1.25,
-                        kBridgesApart_h = 1.5, kBridgeDepth_h = 0.5, kBridgeClear_h = 0.25, kBridgeEdge_h = 1;
+// kBridgeClear_h of the points kBridgeDepth_h to either side nothing was, and if the sweep goes on kBridgeRound_h from there, within kBridgeRoundOff_h of its plane, or all ends before.
+// First within kBridgeReach_h[0], and farther while two parts that have kLeastPartNear_h3 there, clear of what was swept, stay apart; at points kBridgeStep_h apart. No vertex of a
+// face that opens is farther off what was swept than kBridgeFar_h. Places are kBridgesApart_h apart, by how far was looked around the one before. So many faces are kept of a stroke, and so many
+// places looked at when it ends; so often may what flows from part to part take another way.
+inline constexpr std::array<double, 3> kBridgeReach_h{1, 1.75, 3}, kBridgesApart_h{0.75, 1.25, 1.5};
+inline constexpr double kLeastPartNear_h3 = 0.015, kBridgeStep_h = 1.0 / 6, kBridgeBeside_h = 0.3,
+                        kBridgeFar_h = 1.25, kBridgeDepth_h = 0.5, kBridgeClear_h = 0.25, kBridgeEdge_h = 1,
+                        kBridgeRound_h = 0.75, kBridgeRoundOff_h = 0.4;
+inline constexpr int kBridgeRounds = 8;           // so many ways
+inline constexpr std::uint32_t kMostWalked = 64;  // tetrahedra on one of them
 inline constexpr std::size_t kMostBridges = 4096, kMaxBridges = 16, kMostFlows = 64;
 // Chords that stand for what was swept are no shorter than this.
 inline constexpr double kRemembered_h = 0.2;
