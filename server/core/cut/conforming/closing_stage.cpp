@@ -45,6 +45,10 @@ bool ClosingStage::advance(WorkBudget& budget) {
   switch (phase_) {
     case Phase::kCollect:
       if (!collect(budget)) return false;
+      go(Phase::kCollectMade);
+      return false;
+    case Phase::kCollectMade:
+      if (!collect_made(budget)) return false;
       begin_around();
       waited_.swap(waiting_);
       go(Phase::kCollectWaiting);
@@ -127,6 +131,17 @@ bool ClosingStage::collect(WorkBudget& budget) {
     cut_.work.add(star_.size(), cost::kStarCornersAUnit);
     for (Corner c : star_) consider_faces(tet_of(c));
     pinched_.list(around_[next_]);
+  }
+  return true;
+}
+
+// Those of new tetrahedra: the ones that were considered, and held, may be gone.
+bool ClosingStage::collect_made(WorkBudget& budget) {
+  for (; next_ < editor_.made().size(); ++next_) {
+    cut_.work.charge(budget);
+    if (budget.spent()) return false;
+    cut_.work += cost::kLook;
+    if (mesh_.alive(editor_.made()[next_])) consider_faces(editor_.made()[next_]);
   }
   return true;
 }

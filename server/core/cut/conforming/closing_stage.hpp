@@ -55,6 +55,7 @@ class ClosingStage {
  private:
   enum class Phase {
     kCollect,
+    kCollectMade,
     kCollectWaiting,
     kCollectHeld,
     kCollectAroundHeld,
@@ -95,6 +96,7 @@ class ClosingStage {
   void begin_around();
   void list_around(HalfFace h);
   bool collect(WorkBudget& budget);
+  bool collect_made(WorkBudget& budget);
   bool collect_waiting(WorkBudget& budget);
   bool collect_held(HeldFaces& held, Kind kind, WorkBudget& budget);
   bool judge(WorkBudget& budget);

@@ -114,9 +114,11 @@ VertexId MeshEditor::split(TetId tet, VertexId a, VertexId b, double t, NewVerte
     look_again(r);
     active_.add(r);
   }
+  made_.insert(made_.end(), ring_.begin(), ring_.end());
   for (TetId n = first; n < mesh_.tet_slots(); ++n) {
     enter(n);
     active_.add(n);
+    made_.push_back(n);
   }
   ++cut_.counts.splits;
   return m;
@@ -153,6 +155,7 @@ void MeshEditor::collapse(const VertexStar& star, TetId t, VertexId v, VertexId 
     if (!mesh_.alive(c.tet)) continue;
     look_again(c.tet);
     active_.add(c.tet);
+    made_.push_back(c.tet);
     enter(c.tet);
     may_move_again(mesh_.vertices(c.tet));
   }
@@ -168,6 +171,7 @@ std::span<const TetId> MeshEditor::replace(std::span<const TetId> removed,
   for (TetId t : new_tets_) {
     enter(t);
     active_.add(t);
+    made_.push_back(t);
     may_move_again(mesh_.vertices(t));
   }
   ++cut_.counts.repairs;

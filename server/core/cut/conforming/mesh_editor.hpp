@@ -60,11 +60,14 @@ class MeshEditor {
   void stand(VertexId v);
   // v, whose star that is, goes to a better place.
   void move(const VertexStar& star, VertexId v, const Vec3& target);
-  // No vertex has been put in a bend yet, and no tetrahedron taken out.
+  // No vertex has been put in a bend yet, no tetrahedron made, and none taken out.
   void begin_batch() {
     in_bend_.clear();
+    made_.clear();
     bared_.clear();
   }
+  // The tetrahedra that this batch has made, or that have got another vertex; some are gone again. Nothing is known of their faces.
+  const std::vector<TetId>& made() const { return made_; }
   // The vertices of what has been taken out in this batch, with their copies.
   const std::vector<VertexId>& bared() const { return bared_; }
   // Whether v was put there by this batch: without it, the chord of the bend that it splits is back.
@@ -113,6 +116,7 @@ class MeshEditor {
   ActiveSet& active_;
   std::vector<Changed> changed_;
   std::vector<VertexId> in_bend_, bared_;
+  std::vector<TetId> made_;
   TetPass film_pass_;
   Films films_;
   std::vector<TetId> flat_, too_flat_, crumb_, film_, ring_, new_tets_;  // scratch
