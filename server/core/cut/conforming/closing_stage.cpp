@@ -184,6 +184,7 @@ bool ClosingStage::collect_held(HeldFaces& held, Kind kind, WorkBudget& budget) 
     // What was farther off when it was seen may lie on what has been swept since.
     Gap now{0, h, false, false, Kind::kAcross};
     if (kind == Kind::kNeck && may_close(now)) gap = now;
+    gap.area_m2 = length(mesh_.twice_area(h));
     cut_.set_pending(h);
     cut_.set_pending(mesh_.opposite(h));
     // With the necks, what was held before may be all that is left.
@@ -232,6 +233,7 @@ void ClosingStage::consider(HalfFace h) {
   }
   cut_.set_pending(h);
   cut_.set_pending(o);
+  gap.area_m2 = length(mesh_.twice_area(h));
   gaps_.push_back(gap);
 }
 

@@ -69,8 +69,8 @@ class ClosingStage {
   using Part = Parts::Part;
   // kRib: between a sweep and the boundary, both sides are on one side of the sweep. kNeck: it is farther off, or less is known of it.
   enum class Kind { kAcross, kRib, kNeck };
-  // A face that may hold two parts together. Those that are farthest off the surface are judged first: what need not open stays
-  // closed, and the others are judged with it.
+  // A face that may hold two parts together. Those that would put most tissue on the wrong side are judged first, and of those on the surface the largest: what
+  // need not open stays closed, and the others are judged with it.
   struct Gap {
     double off_m;
     HalfFace face;
@@ -78,8 +78,11 @@ class ClosingStage {
     // Judged before, or left by an older cut: then a film is told by its mean thickness alone.
     bool by_thickness;
     Kind kind;
+    double area_m2 = 0;  // twice
     bool operator<(const Gap& other) const {
-      return off_m != other.off_m ? off_m > other.off_m : face < other.face;
+      const double wrong_m3 = off_m * area_m2, other_wrong_m3 = other.off_m * other.area_m2;
+      if (wrong_m3 != other_wrong_m3) return wrong_m3 > other_wrong_m3;
+      return area_m2 != other.area_m2 ? area_m2 > other.area_m2 : face < other.face;
     }
   };
 
