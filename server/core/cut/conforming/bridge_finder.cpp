@@ -18,7 +18,7 @@ void BridgeFinder::begin(HalfFace h) {
 bool BridgeFinder::advance(WorkBudget& budget) {
   while (stage_ != Stage::kIdle) {
     cut_.work.charge(budget);
-    if (budget.spent()) return false;
+    if (budget.spent() || (cost_ahead() > 0 && cut_.part_is_full(cost_ahead()))) return false;
     step();
   }
   return true;
@@ -40,6 +40,9 @@ void BridgeFinder::step() {
   const std::size_t points = grid_.size();
   const std::size_t end = std::min<std::size_t>(next_ + kChunk, points);
   switch (stage_) {
+    case Stage::kLookFarther:
+      look_around(look_ + 1);
+      return;
     case Stage::kFill:
       fill(std::min<std::size_t>(next_ + kTetChunk, tets_.size()));
       if (next_ == tets_.size()) go(Stage::kBlock);
@@ -69,7 +72,7 @@ void BridgeFinder::step() {
       if (end < points) return;
       list_parts();
       if (parts_.size() < 2) return go(Stage::kIdle);
-      if (!is_last_look()) return look_around(look_ + 1);
+      if (!is_last_look()) return go(Stage::kLookFarther);
       skin_roots_.resize(points);
       go(Stage::kUniteInSkin);
       return;

@@ -23,6 +23,12 @@ class BridgeFinder {
   void begin(HalfFace h);
   // True: done. The mesh must stay as it is until then. Some 0.4 ms in all, 1.5 where two parts are near, 5 where they stay apart; a step takes some 0.02 ms, but where much was swept.
   bool advance(WorkBudget& budget);
+  // What the next look will cost: so much more that it may be for the next part of the batch. 0: it has begun.
+  std::size_t cost_ahead() const {
+    if (stage_ != Stage::kLookFarther) return 0;
+    const double points = 2 * tolerance::kBridgeReach_h[look_ + 1] / tolerance::kBridgeStep_h + 3;
+    return cost::kPartNeckPoint * static_cast<std::size_t>(points * points * points);
+  }
   void stop() { go(Stage::kIdle); }
   bool is_looking() const { return stage_ != Stage::kIdle; }
   // How far it has looked around the face: as far as kBridgeReach_h[that].
@@ -31,7 +37,7 @@ class BridgeFinder {
   std::span<const HalfFace> faces() const { return faces_; }
 
  private:
-  enum class Stage { kIdle, kFill, kBlock, kUnite, kFindClear, kFindDeep, kUniteInSkin, kPart };
+  enum class Stage { kIdle, kLookFarther, kFill, kBlock, kUnite, kFindClear, kFindDeep, kUniteInSkin, kPart };
   // What the surfaces part from all else in the box.
   struct Part {
     std::uint32_t root;           // the first of its points

@@ -47,9 +47,11 @@ class ClosingStage {
 
   // While faces are collected, or a bridge is looked for, nothing but the budget makes it stop, and no part of a batch ends.
   bool collects() const {
-    if (phase_ == Phase::kFindBridges) return bridges_.is_looking();
+    if (phase_ == Phase::kFindBridges) return bridges_.is_looking() && cost_ahead() == 0;
     return phase_ != Phase::kJudge && phase_ != Phase::kLookFar && phase_ != Phase::kOpen;
   }
+  // What comes next would cost so much at once, for a part of the batch.
+  std::size_t cost_ahead() const { return phase_ == Phase::kFindBridges ? bridges_.cost_ahead() : 0; }
   void archive(Archive& io);
 
  private:
@@ -104,6 +106,7 @@ class ClosingStage {
   bool collect_held(HeldFaces& held, Kind kind, WorkBudget& budget);
   bool judge(WorkBudget& budget);
   bool look_far(WorkBudget& budget);
+  bool take_again();
   bool open(WorkBudget& budget);
   void open(std::span<const HalfFace> faces);
   bool goes_on(WorkBudget& budget);
@@ -158,6 +161,10 @@ class ClosingStage {
   // by some of these with the other.
   std::vector<Gap> rest_;
   bool hangs_between_ = false;
+  // Necks with little behind them but other necks; whether one stays closed that has a part on either side; and how often they were judged again.
+  std::vector<Gap> again_;
+  bool neck_stays_ = false;
+  int times_again_ = 0;
   std::vector<HeldFace> left_;   // for a stroke that comes upon a cut
   std::vector<HalfFace> faces_;  // to open
   std::vector<Gap> doubtful_;    // between two large parts, when the stroke ends

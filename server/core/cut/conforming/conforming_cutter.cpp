@@ -53,9 +53,9 @@ void ConformingCutter::begin_part() {
   cut_.part_judging = 0;
 }
 
-// Whether enough has been done for a delta of its own.
-bool ConformingCutter::end_part() {
-  part_ends_ = cut_.part_is_full();
+// Whether enough has been done for a delta of its own, or would be with as much as this on top.
+bool ConformingCutter::end_part(std::size_t more) {
+  part_ends_ = cut_.part_is_full(more);
   return part_ends_;
 }
 
@@ -133,7 +133,7 @@ ConformingCutter::Progress ConformingCutter::advance(WorkBudget& budget) {
         if (closing_.advance(budget)) {
           pinched_.begin();
           stage_ = Stage::kPinched;
-        } else if (!closing_.collects() && end_part()) {
+        } else if (!closing_.collects() && end_part(closing_.cost_ahead())) {
           return Progress::kPart;
         }
         break;

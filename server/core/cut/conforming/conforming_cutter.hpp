@@ -73,7 +73,7 @@ class ConformingCutter final : public Cutter {
 
   void begin_stroke(std::uint32_t stroke);
   void begin_part();
-  bool end_part();
+  bool end_part(std::size_t more = 0);
   void begin_search();
   void finish();
 

@@ -119,11 +119,11 @@ struct CutContext {
   mutable std::size_t part_judging = 0;
   // Whether there may be more tetrahedra than before.
   bool may_add() const { return config.prefer != Preference::kNoGrowth; }
-  // Whether that part is worth a delta of its own. In fresh tissue batches do not take long.
-  bool part_is_full() const {
-    return meets_cut &&
-           part_judging + cost::kPartEvent * counts.events + cost::kPartFace * counts.cut_faces >=
-               cost::kPart;
+  // Whether that part is worth a delta of its own, or would be with as much as this on top. In fresh tissue batches do not take long.
+  bool part_is_full(std::size_t more = 0) const {
+    const std::size_t cost =
+        part_judging + cost::kPartEvent * counts.events + cost::kPartFace * counts.cut_faces;
+    return meets_cut && cost > 0 && cost + more >= cost::kPart;
   }
 
  private:
