@@ -954,6 +954,24 @@ TEST(MeetingGaps, AreFoundBesideThoseThatWereHeld) {
   come_apart({{"seed_1720", "square", 170006}, {"wound_1476", "polygon", 90000}});
 }
 
+// What was held had gone with the tetrahedron that it belonged to, and nothing considered the faces of those that a repair had made there.
+TEST(MeetingGaps, AreFoundWhereRepairsHaveMadeTetrahedra) {
+  come_apart({{"wound_1476", "spiral", 396219}, {"armadillo_3717", "box", 396224}});
+}
+// Of the faces that would part two parts one opened far off what was swept, where a smaller one would have done.
+TEST(MeetingGaps, OpenWhereLeastIsOnTheWrongSide) {
+  come_apart(
+      {{"seed_3234", "lasso", 392001}, {"wound_1476", "box", 392013}, {"armadillo_3717", "lasso", 392011}});
+}
+// Of several necks one behind the other the last one was asked about alone, and that one had to stay closed.
+TEST(MeetingGaps, AreFoundInTheOtherNecksWhereOneStaysClosed) {
+  come_apart({{"armadillo_3717", "rows", 396201}});
+}
+// A repair had taken a vertex past the front, over its own sweep: its edges crossed that now, in tetrahedra that had not been met. They held 182 h^3.
+TEST(MeetingRepairs, DoNotTakeEdgesThroughTheSweepUnseen) {
+  come_apart({{"liver_6564", "starts_in", 396300}});
+}
+
 // Two to five faces beside what was swept held parts of 3 to 133 h^3: each hangs together by the others, and some have no edge at the boundary.
 TEST(MeetingBridges, OfSeveralFacesOpen) {
   come_apart({{"armadillo_3717", "helix", 392011},
@@ -961,6 +979,10 @@ TEST(MeetingBridges, OfSeveralFacesOpen) {
               {"liver_6564", "helix", 392017},
               {"liver_6564", "helix", 390006},
               {"wound_1476", "polygon", 392017}});
+}
+// A place 1.4 h away had been looked around no farther than 1 h, and nothing was looked for here.
+TEST(MeetingBridges, AreFoundBesidePlacesThatHadNone) {
+  come_apart({{"wound_1476", "box", 396227}});
 }
 
 // A face of a large element beside a bend, or across the corner between a sweep and an older cut, opened 0.4 to 0.6 h off what was swept: with one side at the

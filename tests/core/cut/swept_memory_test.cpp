@@ -178,7 +178,7 @@ TEST(SweptMemory, FindsWhatALongSlantedBladeSweptWithoutLookingAtAllOfIt) {
   const auto side_of = [](const Vec3& a, const Vec3& b, const Vec3& c, const Vec3& p) {
     return dot(cross(b - a, c - a), p - a) > 0;
   };
-  std::size_t looked_at = 0, crossed = 0, near = 0;
+  std::size_t looked_at = 0, visited = 0, crossed = 0, near = 0;
   constexpr std::size_t kSegments = 1000;
   for (std::size_t n = 0; n < kSegments; ++n) {
     const Vec3 a{anywhere(), anywhere(), anywhere()};
@@ -195,6 +195,10 @@ TEST(SweptMemory, FindsWhatALongSlantedBladeSweptWithoutLookingAtAllOfIt) {
     EXPECT_EQ(memory.crosses(a, b, looked_at), crosses) << "segment " << n;
     std::size_t others = 0;
     EXPECT_EQ(memory.stroke_at(a, 0.005, others) != 0, is_near) << "point " << n;
+    memory.any_in(Box::around({a, b}), others, [&](const SweptMemory::Quad&) {
+      ++visited;
+      return false;
+    });
     crossed += crosses ? 1 : 0;
     near += is_near ? 1 : 0;
   }
@@ -202,6 +206,8 @@ TEST(SweptMemory, FindsWhatALongSlantedBladeSweptWithoutLookingAtAllOfIt) {
   EXPECT_GT(near, 50u);
   // Sixteen quads are a block. All blocks, and a tenth of the quads.
   EXPECT_LT(looked_at, kSegments * (memory.quads().size() / 16 + 1 + memory.quads().size() / 10));
+  // Of those, few are visited: boxes alone let through 4 times as many.
+  EXPECT_LT(visited, kSegments);
 }
 
 TEST(SweptMemory, ComesBackAsItWasSaved) {

@@ -247,7 +247,7 @@ inline constexpr double kLiesInSwept_h = 0.05;
 // than kOwnSweep_h before or after. Where it is not, hands would add 0.15 more new tetrahedra a cut face, and kChordBeside_h holds.
 inline constexpr double kChord_h = 0.1, kChordEdge_h = 0.05, kChordBeside_h = 0.2;
 inline constexpr double kAlone_h = 1, kOwnSweep_h = 4;
-inline constexpr int kMaxRefinements = 4;
+inline constexpr int kMaxRefinements = 5;
 // What reaches no farther than this from the surface is no part of the tissue.
 inline constexpr double kThin_local = 0.1;
 // Nor is a film between cuts, or between a cut and the boundary, that is no thicker than this in the mean; kOne_h where this part of its
