@@ -963,10 +963,6 @@ TEST(MeetingGaps, OpenWhereLeastIsOnTheWrongSide) {
   come_apart(
       {{"seed_3234", "lasso", 392001}, {"wound_1476", "box", 392013}, {"armadillo_3717", "lasso", 392011}});
 }
-// Of several necks one behind the other the last one was asked about alone, and that one had to stay closed.
-TEST(MeetingGaps, AreFoundInTheOtherNecksWhereOneStaysClosed) {
-  come_apart({{"armadillo_3717", "rows", 396201}});
-}
 // A repair had taken a vertex past the front, over its own sweep: its edges crossed that now, in tetrahedra that had not been met. They held 182 h^3.
 TEST(MeetingRepairs, DoNotTakeEdgesThroughTheSweepUnseen) {
   come_apart({{"liver_6564", "starts_in", 396300}});

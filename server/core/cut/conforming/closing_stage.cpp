@@ -16,9 +16,6 @@ void ClosingStage::begin(std::span<const HalfFace> opened) {
   for (HalfFace h : opened) list_around(h);
   gaps_.clear();
   rest_.clear();
-  again_.clear();
-  neck_stays_ = false;
-  times_again_ = 0;
   left_.clear();
   faces_.clear();
   doubtful_.clear();
@@ -77,10 +74,6 @@ bool ClosingStage::advance(WorkBudget& budget) {
     case Phase::kLookFar:
       if (!look_far(budget)) return false;
       doubtful_.clear();
-      if (take_again()) {
-        go(Phase::kJudge);
-        return false;
-      }
       if (!rest_.empty() && (!faces_.empty() || hangs_between_)) {
         gaps_.swap(rest_);
         std::sort(gaps_.begin(), gaps_.end());
@@ -363,14 +356,9 @@ bool ClosingStage::judge(WorkBudget& budget) {
         continue;
       }
       hangs_between_ = hangs_between_ || (one == Part::kSmall && other == Part::kSmall);
-      neck_stays_ = neck_stays_ || gap.kind == Kind::kNeck;
     }
     keep_closed(gap);
-    if (other != Part::kCrumb) {
-      hold(gap);
-    } else if (gap.kind == Kind::kNeck) {
-      again_.push_back(gap);
-    }
+    if (other != Part::kCrumb) hold(gap);
   }
   gaps_.clear();
   return true;
@@ -379,21 +367,6 @@ bool ClosingStage::judge(WorkBudget& budget) {
 bool ClosingStage::goes_on(WorkBudget& budget) {
   cut_.work.charge(budget);
   return !budget.spent() && !cut_.part_is_full();
-}
-
-// Of several necks one behind the other, with little between them, the last one is asked about. Where it has to stay closed, another one may open.
-bool ClosingStage::take_again() {
-  const bool takes = std::exchange(neck_stays_, false) && !again_.empty() && times_again_ < kMostAgain;
-  if (takes) {
-    ++times_again_;
-    for (const Gap& gap : again_) {
-      cut_.set_pending(gap.face);
-      cut_.set_pending(mesh_.opposite(gap.face));
-    }
-    gaps_.swap(again_);
-  }
-  again_.clear();
-  return takes;
 }
 
 void ClosingStage::keep_closed(const Gap& gap) {

@@ -106,7 +106,6 @@ class ClosingStage {
   bool collect_held(HeldFaces& held, Kind kind, WorkBudget& budget);
   bool judge(WorkBudget& budget);
   bool look_far(WorkBudget& budget);
-  bool take_again();
   bool open(WorkBudget& budget);
   void open(std::span<const HalfFace> faces);
   bool goes_on(WorkBudget& budget);
@@ -161,10 +160,6 @@ class ClosingStage {
   // by some of these with the other.
   std::vector<Gap> rest_;
   bool hangs_between_ = false;
-  // Necks with little behind them but other necks; whether one stays closed that has a part on either side; and how often they were judged again.
-  std::vector<Gap> again_;
-  bool neck_stays_ = false;
-  int times_again_ = 0;
   std::vector<HeldFace> left_;   // for a stroke that comes upon a cut
   std::vector<HalfFace> faces_;  // to open
   std::vector<Gap> doubtful_;    // between two large parts, when the stroke ends

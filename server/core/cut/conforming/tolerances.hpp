@@ -124,9 +124,8 @@ inline constexpr double kNeckShared = 0.1, kNeckDoubtful = 0.5, kNeckSure = 0.95
 inline constexpr double kNeckRim_h = 0.125;
 // So many quads' rims that follow each other are looked at with the walls near all of them.
 inline constexpr std::size_t kRimBlock = 8;
-// So many faces are asked about in a batch; and so often are necks judged again.
+// So many faces are asked about in a batch.
 inline constexpr std::size_t kMaxNecks = 16;
-inline constexpr int kMostAgain = 3;
 // What holds two parts together by several faces (BridgeFinder). It is looked for around a face with an edge of kBridgeEdge_h whose middle is within kBridgeBeside_h of what was swept, if within
 // kBridgeClear_h of the points kBridgeDepth_h to either side nothing was, and if the sweep goes on kBridgeRound_h from there, within kBridgeRoundOff_h of its plane, or all ends before.
 // First within kBridgeReach_h[0], and farther while two parts that have kLeastPartNear_h3 there, clear of what was swept, stay apart; at points kBridgeStep_h apart. No vertex of a
