@@ -70,7 +70,9 @@ if command -v systemd-analyze > /dev/null; then
 fi
 
 echo '{"mesh": {"phantom": "slab", "target_tets": 3000}, "listen": {"tcp_port": 0, "http_port": 0}, "loop": {"realtime_priority": 0}}' > "$work/session.json"
-"$bin/incised" --config "$work/session.json" > "$work/server.out" 2> "$work/server.log" &
+# Read below, maybe before the shell in the background has made it.
+touch "$work/server.out"
+"$bin/incised" --config "$work/session.json" >> "$work/server.out" 2> "$work/server.log" &
 server=$!
 port=
 for ((i = 0; i < 600 && ${#port} == 0; i++)); do
