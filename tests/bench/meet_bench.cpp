@@ -97,8 +97,8 @@ void add_row(Report& report, const std::string& name, const Totals& t) {
               1e3 * percentile(t.batch_s, 1)});
 }
 
-// Cuts with poses that come in, timing each batch.
-void run_timed(core::CutSession& session, std::span<const core::Pose> poses, Totals& totals) {
+// Cuts with poses that come in, pose by pose in turn, each hand with a blade of its own, timing each batch.
+void run_timed(core::CutSession& session, std::span<const oracle::Hand> hands, Totals& totals) {
   core::WorkBudget budget = core::WorkBudget::unlimited();
   core::Delta delta;
   double all = 0;
@@ -113,11 +113,16 @@ void run_timed(core::CutSession& session, std::span<const core::Pose> poses, Tot
       events += session.committed_counts().events;
     }
   };
-  for (const core::Pose& pose : poses) {
-    session.push(0, pose);
-    work();
+  std::size_t most = 0;
+  for (const oracle::Hand& hand : hands) most = std::max(most, hand.poses.size());
+  for (std::size_t i = 0; i < most; ++i) {
+    for (std::uint32_t blade = 0; blade < hands.size(); ++blade) {
+      if (i == hands[blade].poses.size()) session.end_stroke(blade);
+      if (i < hands[blade].poses.size()) session.push(blade, hands[blade].poses[i]);
+      work();
+    }
   }
-  session.end_stroke(0);
+  for (std::uint32_t blade = 0; blade < hands.size(); ++blade) session.end_stroke(blade);
   work();
   totals.seconds.push_back(all);
   totals.event_us.push_back(1e6 * all / static_cast<double>(std::max<std::uint64_t>(events, 1)));
@@ -160,11 +165,19 @@ void run_hands(const Options& options, const NamedMesh& mesh, const oracle::Body
     const protocol::Motion motion = protocol::read_motion(name);
     for (int i = 0; i < options.count; ++i) {
       const std::uint64_t seed = options.seed + static_cast<std::uint64_t>(i);
-      const oracle::Hand hand =
-          oracle::place_hand(motion.samples, mesh.mesh, seed, static_cast<std::size_t>(options.poses));
-      core::CutSession session(mesh.mesh, hand.config);
-      run_timed(session, hand.poses, totals);
-      const auto strokes = oracle::strokes_of(hand.poses, hand.config.blade, hand.config);
+      std::vector<oracle::Hand> hands;
+      for (std::uint64_t other = 0; other < (options.at_once ? 2 : 1); ++other)
+        hands.push_back(oracle::place_hand(motion.samples, mesh.mesh, seed + other,
+                                           static_cast<std::size_t>(options.poses)));
+      core::CutSession session(mesh.mesh, hands[0].config);
+      std::vector<oracle::Stroke> strokes;
+      for (std::uint32_t blade = 0; blade < hands.size(); ++blade) {
+        session.set_blade(blade, hands[blade].config.blade);
+        for (oracle::Stroke& stroke :
+             oracle::strokes_of(hands[blade].poses, hands[blade].config.blade, hands[0].config))
+          strokes.push_back(std::move(stroke));
+      }
+      run_timed(session, hands, totals);
       const Verdict v = oracle::judge(body, strokes, session.mesh());
       totals.add(v, body);
       char text[200];
@@ -235,7 +248,8 @@ void add_meet_bench(CLI::App& app, Report& report) {
       ->capture_default_str();
   command->add_option("--batch", options->batch_h, "cut.batch_h of all; without: each one's own")
       ->check(CLI::Range(0.05, 2.0));
-  command->add_flag("--at-once", options->at_once, "All strokes at once, each by a blade of its own");
+  command->add_flag("--at-once", options->at_once,
+                    "All strokes at once, each by a blade of its own; of hands two");
   command
       ->add_flag("--saved", options->saved,
                  "Each stroke in a session of its own, in the body that the one before has left")

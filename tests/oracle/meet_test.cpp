@@ -554,6 +554,45 @@ TEST(MeetingBlades, TwoCloseALoopTogether) {
   EXPECT_EQ(wrong, 0);
 }
 
+// All strokes of a meeting at the same time, each by a blade of its own.
+TEST_P(Meet, LeavesThoseOfBladesThatCutAtOnce) {
+  for (std::uint64_t seed = 3; seed <= 6; ++seed) {
+    const Meeting meeting = random_meeting(mesh(), body().h, GetParam(), seed);
+    if (meeting.strokes.size() == 1) return;
+    core::CutSession session(mesh(), meeting_config(meeting));
+    cut_at_once(meeting, session);
+    const Verdict v = judge(body(), strokes_of(meeting), session.mesh());
+    EXPECT_TRUE(v.right()) << meeting.name() << ": " << to_string(v);
+  }
+}
+
+// What one blade has to look at again, since others have been there, is saved with it.
+TEST_P(Meet, GoesOnAfterBladesThatCutAtOnceWereSavedHalfway) {
+  Meeting meeting = random_meeting(mesh(), body().h, GetParam(), 3);
+  meeting.strokes.resize(std::min<std::size_t>(meeting.strokes.size(), core::kMaxSources));
+  if (meeting.strokes.size() == 1) return;
+  const core::CutConfig config = meeting_config(meeting);
+  core::CutSession whole(mesh(), config);
+  auto broken = std::make_unique<core::CutSession>(mesh(), config);
+  std::size_t most = 0;
+  for (const auto& stroke : meeting.strokes) most = std::max(most, stroke.size());
+  for (std::size_t i = 0; i <= most; ++i) {
+    for (core::CutSession* session : {&whole, broken.get()}) {
+      for (std::uint32_t blade = 0; blade < meeting.strokes.size(); ++blade) {
+        i < meeting.strokes[blade].size() ? void(session->push(blade, meeting.strokes[blade][i]))
+                                          : session->end_stroke(blade);
+        drain(*session);
+      }
+    }
+    if (i % 7 != 0) continue;
+    std::string error;
+    broken = core::restore_session(core::save_session(*broken), config, error);
+    ASSERT_TRUE(broken) << error;
+  }
+  EXPECT_EQ(broken->mesh().state_hash(), whole.mesh().state_hash());
+  EXPECT_EQ(core::save_session(*broken), core::save_session(whole));
+}
+
 // A cube of ten cells a side, with its inner vertices out of line.
 core::MeshData uneven_cube() {
   core::MeshData cube = tests::cube(10);
@@ -701,7 +740,7 @@ struct OnceWrong {
   const char* kind;
   std::uint64_t seed;
 };
-void come_apart(std::initializer_list<OnceWrong> meetings) {
+void come_apart(std::initializer_list<OnceWrong> meetings, bool at_once = false) {
   const char* folder = std::getenv("INCISE_DATA");
   if (folder == nullptr) GTEST_SKIP() << "INCISE_DATA names no folder with meshes";
   for (const OnceWrong& once : meetings) {
@@ -709,8 +748,8 @@ void come_apart(std::initializer_list<OnceWrong> meetings) {
     const Body loaded(real);
     const Meeting meeting = random_meeting(real, loaded.h, once.kind, once.seed);
     core::CutSession session(real, meeting_config(meeting)), bit_by_bit(real, meeting_config(meeting));
-    cut(meeting, session);
-    cut(meeting, bit_by_bit, 1000);
+    at_once ? cut_at_once(meeting, session) : cut(meeting, session);
+    at_once ? cut_at_once(meeting, bit_by_bit, 1000) : cut(meeting, bit_by_bit, 1000);
     EXPECT_EQ(bit_by_bit.mesh().state_hash(), session.mesh().state_hash());
     const Verdict v = judge(loaded, strokes_of(meeting), session.mesh());
     EXPECT_TRUE(v.right()) << once.mesh << ", " << once.kind << ", seed " << once.seed << ": "
@@ -958,6 +997,29 @@ TEST(MeetingGaps, AreFoundBesideThoseThatWereHeld) {
 TEST(MeetingGaps, AreFoundWhereRepairsHaveMadeTetrahedra) {
   come_apart({{"wound_1476", "spiral", 396219}, {"armadillo_3717", "box", 396224}});
 }
+// All strokes come at once. One blade changed what another had met and not parted yet, of which that did not know, and asked about gaps, necks and bridges in tissue that
+// the other was about to part.
+TEST(MeetingBlades, PartWhatTheyCutTogether) {
+  come_apart({{"wound_1476", "nested", 396601},
+              {"wound_1476", "grid", 396601},
+              {"wound_1476", "square", 396602},
+              {"wound_1476", "square", 396603},
+              {"wound_1476", "halves", 396600},
+              {"wound_1476", "ends_in", 396604},
+              {"wound_1476", "ends_in", 396608},
+              {"wound_1476", "crosses", 396610},
+              {"wound_1476", "crosses", 396657},
+              {"wound_1476", "lid", 396601},
+              {"wound_1476", "box", 396602},
+              {"wound_1476", "box", 396607},
+              {"wound_1476", "strips", 396601},
+              {"armadillo_3717", "square", 396611},
+              {"armadillo_3717", "ends_in", 396600},
+              {"liver_6564", "along", 396631},
+              {"liver_6564", "box", 396629}},
+             true);
+}
+
 // Of the faces that would part two parts one opened far off what was swept, where a smaller one would have done.
 TEST(MeetingGaps, OpenWhereLeastIsOnTheWrongSide) {
   come_apart(

@@ -472,19 +472,21 @@ std::unique_ptr<core::CutSession> cut_saved(const Meeting& meeting, const core::
   return session;
 }
 
-void cut_at_once(const Meeting& meeting, core::CutSession& session) {
-  std::size_t most = 0;
-  for (const auto& stroke : meeting.strokes) most = std::max(most, stroke.size());
-  const auto blades = static_cast<std::uint32_t>(meeting.strokes.size());
-  for (std::size_t i = 0; i < most; ++i) {
-    for (std::uint32_t blade = 0; blade < blades; ++blade) {
-      if (i < meeting.strokes[blade].size())
-        INCISE_CHECK(core::accepted(session.push(blade, meeting.strokes[blade][i])));
-      drain(session);
+void cut_at_once(const Meeting& meeting, core::CutSession& session, std::int64_t budget_units) {
+  for (std::size_t first = 0; first < meeting.strokes.size(); first += core::kMaxSources) {
+    const auto count = std::min<std::size_t>(meeting.strokes.size() - first, core::kMaxSources);
+    const auto strokes = std::span(meeting.strokes).subspan(first, count);
+    std::size_t most = 0;
+    for (const auto& stroke : strokes) most = std::max(most, stroke.size());
+    for (std::size_t i = 0; i < most; ++i) {
+      for (std::uint32_t blade = 0; blade < count; ++blade) {
+        if (i < strokes[blade].size()) INCISE_CHECK(core::accepted(session.push(blade, strokes[blade][i])));
+        drain(session, budget_units);
+      }
     }
+    for (std::uint32_t blade = 0; blade < count; ++blade) session.end_stroke(blade);
+    drain(session, budget_units);
   }
-  for (std::uint32_t blade = 0; blade < blades; ++blade) session.end_stroke(blade);
-  drain(session);
 }
 
 std::vector<Stroke> strokes_of(const Meeting& meeting) {

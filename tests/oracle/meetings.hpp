@@ -65,8 +65,8 @@ void cut(std::span<const core::Pose> stroke, core::CutSession& session,
          std::int64_t budget_units = INT64_MAX);
 // Cuts it, stroke by stroke, into a session that has meeting_config(), so much work at a time.
 void cut(const Meeting& meeting, core::CutSession& session, std::int64_t budget_units = INT64_MAX);
-// The same with all strokes at once, pose by pose in turn, each by a blade of its own.
-void cut_at_once(const Meeting& meeting, core::CutSession& session);
+// The same with as many strokes at once as there can be blades, pose by pose in turn, each by a blade of its own.
+void cut_at_once(const Meeting& meeting, core::CutSession& session, std::int64_t budget_units = INT64_MAX);
 // The same with each stroke in a session of its own, which begins with the body as the one before has left it.
 std::unique_ptr<core::CutSession> cut_saved(const Meeting& meeting, const core::MeshData& mesh);
 // What the judge is told.

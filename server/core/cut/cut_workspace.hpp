@@ -14,7 +14,7 @@
 
 namespace incise::core {
 
-class ActiveSet;
+struct CutContext;
 
 // Marks for each vertex and each tetrahedron that the blades of one mesh share: sized to the mesh once, then grown
 // with it, never cleared. A mark holds when it equals the number of the stroke, the pass or the collection that asks.
@@ -22,9 +22,12 @@ struct CutWorkspace {
   struct VertexMarks {
     std::uint32_t surface = 0;  // the stroke on whose swept surface it was put ...
     std::uint32_t batch = 0;    // ... and the stroke's batch that did so
-    std::uint32_t failed = 0;   // the stroke that could not deal with a crossing at it
-    std::uint32_t rim = 0;      // the stroke on whose sweep's rim it was put
-    std::uint32_t stands = 0;   // the stroke for whose swept surface it stands where it is, near to that
+    std::uint32_t also =
+        0;  // the same before that: where two blades meet, it may lie on the surfaces of both
+    std::uint32_t also_batch = 0;
+    std::uint32_t failed = 0;  // the stroke that could not deal with a crossing at it
+    std::uint32_t rim = 0;     // the stroke on whose sweep's rim it was put
+    std::uint32_t stands = 0;  // the stroke for whose swept surface it stands where it is, near to that
     std::uint32_t first_crossing = 0;  // of the edges whose lower vertex it is, in Crossings
     std::uint32_t crossings = 0;       // the collection that first_crossing belongs to
     std::uint32_t looked_at = 0;       // the last scan that came by (ActiveSet, ClosingStage)
@@ -71,9 +74,11 @@ struct CutWorkspace {
     held.archive(io, mesh);
     ribs.archive(io, mesh);
     necks.archive(io, mesh);
-    io.list(vertices, 20, [&](VertexMarks& marks) {
+    io.list(vertices, 28, [&](VertexMarks& marks) {
       io(marks.surface);
       io(marks.batch);
+      io(marks.also);
+      io(marks.also_batch);
       io(marks.failed);
       io(marks.rim);
       io(marks.stands);
@@ -100,8 +105,8 @@ struct CutWorkspace {
   HeldFaces necks;  // the same, or less is known of them: what was swept has to part their sides
   std::vector<VertexMarks> vertices;
   std::vector<TetMarks> tets;
-  std::vector<ActiveSet*> active_sets;  // of all blades
-  std::uint32_t serial = 0;             // the last number that was given to a pass, a scan or a collection
+  std::vector<CutContext*> blades;  // all of this mesh
+  std::uint32_t serial = 0;         // the last number that was given to a pass, a scan or a collection
 };
 
 // A pass over tetrahedra that knows which it has, without clearing marks: each search, scan or verification has its own.

@@ -17,7 +17,7 @@ namespace incise::core {
 // members: one that lives from one batch to the next belongs there. When such a list changes: raise the version (older
 // bytes are then refused), write the fuzzer's seeds again (INCISE_WRITE_CORPUS=tests/fuzz/corpus/session_state core_tests
 // --gtest_filter='SessionState.Small*'), and say so under "Checkpoints" in CHANGELOG.md.
-inline constexpr std::uint32_t kSessionStateVersion = 23;
+inline constexpr std::uint32_t kSessionStateVersion = 24;
 
 // No batch may wait (advance() returns kIdle): a batch under way cannot be saved. O(mesh).
 // `into`: an array that is no longer needed, whose memory is used.

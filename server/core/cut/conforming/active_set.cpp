@@ -6,36 +6,36 @@ namespace incise::core {
 
 using namespace tolerance;
 
-void ActiveSet::tell_others(VertexId v, const Vec3& from) {
-  std::vector<ActiveSet*>& sets = cut_.workspace.active_sets;
-  if (sets.size() == 1) return;
-  // A tetrahedron's mark is that of the last one that takes it: in an order that a session goes on with from a checkpoint.
-  std::sort(sets.begin(), sets.end(), [](const ActiveSet* one, const ActiveSet* other) {
-    return one->cut_.stroke < other->cut_.stroke;
-  });
-  for (ActiveSet* other : sets) {
-    if (other == this || other->entries_.empty()) continue;
-    const std::uint32_t batch = other->first_batch_between(from, cut_.mesh.position(v));
-    if (batch == kNone) continue;
-    cut_.mesh.star(v, star_);
-    cut_.work.add(star_.size(), cost::kStarCornersAUnit);
-    for (const Corner corner : star_) other->add(tet_of(corner), batch);
+void ActiveSet::take_offered() {
+  if (cut_.others.are_none()) return;
+  // Another blade may have taken the mark.
+  for (const Entry& entry : entries_) cut_.workspace.tets[entry.tet].active = cut_.stroke;
+  for (TetId t : cut_.others.offered()) {
+    if (!cut_.mesh.alive(t)) continue;
+    if (!has(t)) {
+      const std::uint32_t batch = batch_that_meets(t);
+      if (batch == kNone) continue;
+      add(t, batch);
+    }
+    cut_.meets_cut = true;
   }
+  cut_.others.offered().clear();
 }
 
-// Of the batches whose surface lies between two points the first one; kNone: none does.
-std::uint32_t ActiveSet::first_batch_between(const Vec3& a, const Vec3& b) const {
-  std::uint32_t first = kNone;
-  const SweptSurface& surface = cut_.surface();
-  cut_.work += cost::kFindCrossing;
-  surface.any_between(Points<2>({a, b}), cut_.clear_m, [&](std::uint32_t i) {
-    const SweptTriangle& triangle = surface[i];
-    double at;
-    if (crosses(a, b, triangle.signed_distance(a), triangle.signed_distance(b), triangle, cut_.clear_m, at))
-      first = std::min(first, triangle.batch);
-    return false;
-  });
-  return first;
+// The batch in which something was swept that t has to be parted by: where an edge crosses that, or a face lies on it. kNone: there is none.
+std::uint32_t ActiveSet::batch_that_meets(TetId t) const {
+  const auto& v = cut_.mesh.vertices(t);
+  std::uint32_t triangle = 0;
+  double at = 0;
+  for (const auto& [i, j] : kEdgeVertices) {
+    if (cut_.find_crossing(cut_.mesh.position(v[i]), cut_.on_surface(v[i]), cut_.mesh.position(v[j]),
+                           cut_.on_surface(v[j]), triangle, at))
+      return cut_.surface()[triangle].batch;
+  }
+  if (std::ranges::count_if(v, [this](VertexId w) { return cut_.on_surface(w); }) < 3) return kNone;
+  Vec3 closest;
+  return cut_.closest_on_surface(cut_.mesh.barycentre(t), closest, triangle) ? cut_.surface()[triangle].batch
+                                                                             : kNone;
 }
 
 void ActiveSet::append(TetId t, double since_m) {

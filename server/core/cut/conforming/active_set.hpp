@@ -17,7 +17,7 @@ class ActiveSet {
     double ripe_at_m;  // while the blade has travelled less in this stroke, it waits for certain
   };
 
-  explicit ActiveSet(CutContext& cut) : cut_(cut) { cut.workspace.active_sets.push_back(this); }
+  explicit ActiveSet(CutContext& cut) : cut_(cut) {}
   ActiveSet(const ActiveSet&) = delete;
 
   bool has(TetId t) const { return cut_.workspace.tets[t].active == cut_.stroke; }
@@ -28,9 +28,8 @@ class ActiveSet {
   void add(TetId t, std::uint32_t batch) {
     if (!has(t)) append(t, cut_.path.travel_before_m(batch));
   }
-  // A vertex has been moved: where it has come through what another blade has swept and not parted yet, its edges cross that now, and that blade
-  // has to look at its tetrahedra again.
-  void tell_others(VertexId v, const Vec3& from);
+  // Other blades have been here: takes what they have made or changed, where there is something to do.
+  void take_offered();
   void clear() {
     entries_.clear();
     widest_m_ = 0;
@@ -72,14 +71,13 @@ class ActiveSet {
   double& widest_m() { return widest_m_; }
 
  private:
-  std::uint32_t first_batch_between(const Vec3& a, const Vec3& b) const;
+  std::uint32_t batch_that_meets(TetId t) const;
   void append(TetId t, double since_m);
 
   CutContext& cut_;
   std::vector<Entry> entries_;
-  double widest_m_ = 0;       // the largest local mesh width at any of this stroke's
-  std::uint32_t scan_ = 0;    // its serial
-  std::vector<Corner> star_;  // scratch
+  double widest_m_ = 0;     // the largest local mesh width at any of this stroke's
+  std::uint32_t scan_ = 0;  // its serial
   std::vector<TetId> prefetched_;
 };
 

@@ -14,6 +14,10 @@ using namespace tolerance;
 void ClosingStage::begin(std::span<const HalfFace> opened) {
   begin_around();
   for (HalfFace h : opened) list_around(h);
+  for (HalfFace h : cut_.others.left()) {
+    if (mesh_.alive(tet_of(h))) list_around(h);
+  }
+  cut_.others.left().clear();
   gaps_.clear();
   rest_.clear();
   left_.clear();
@@ -176,7 +180,8 @@ bool ClosingStage::collect_held(HeldFaces& held, Kind kind, WorkBudget& budget) 
         distance(mesh_.face_middle(h), middle) > HeldFaces::kSame_h * cut_.h)
       continue;
     // What hangs together farther off a sweep that is alone is a lobe of the body as it grew.
-    if (!cut_.meets_cut && kind != Kind::kAcross && off_m > kOffAlone_h * cut_.h) {
+    if ((!cut_.meets_cut && kind != Kind::kAcross && off_m > kOffAlone_h * cut_.h) ||
+        cut_.others.are_near(middle)) {
       left_.push_back(held[next_]);
       continue;
     }
@@ -227,7 +232,7 @@ void ClosingStage::consider(HalfFace h) {
     gap = {0, h, false, false, Kind::kNeck};
     if (!may_be_neck(gap)) return;
   }
-  if (gap.kind != Kind::kAcross) {
+  if (gap.kind != Kind::kAcross || cut_.others.are_near(mesh_.face_middle(h))) {
     hold(gap);
     return;
   }
@@ -444,6 +449,7 @@ bool ClosingStage::next_suspect(WorkBudget& budget) {
   while (!suspects_.is_done() && goes_on(budget)) {
     const HalfFace h = suspects_.next();
     if (h == kNone) continue;
+    if (cut_.others.leave(h)) continue;
     bridges_.begin(h);
     return true;
   }

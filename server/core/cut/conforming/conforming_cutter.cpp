@@ -24,6 +24,7 @@ ConformingCutter::ConformingCutter(TetMesh& mesh, CutWorkspace& workspace, const
 void ConformingCutter::begin_stroke(std::uint32_t stroke) {
   cut_.stroke = stroke;
   cut_.meets_cut = false;
+  cut_.others.begin_stroke();
   cut_.path.clear();
   active_.clear();
   crossings_.clear();
@@ -63,6 +64,7 @@ void ConformingCutter::begin_search() {
   cut_.path.forget_before(active_.needed_since_m());
   cut_.path.build();
   cut_.oldest_batch = cut_.path.oldest_batch();
+  active_.take_offered();
   editor_.begin_batch();
   repair_.begin_batch();
   crossings_.begin_batch();
@@ -160,6 +162,7 @@ void ConformingCutter::finish() {
     closing_.clear();
     pinched_.clear();
   }
+  cut_.others.end_batch(active_.size() > 0);
   stage_ = Stage::kIdle;
 }
 
@@ -183,6 +186,7 @@ void ConformingCutter::archive(Archive& io) {
   cut_.path.archive_surface(io);
   active_.archive_entries(io);
   cut_.path.archive_travel(io, active_.widest_m());
+  cut_.others.archive(io, active_.size() > 0);
   crossings_.archive(io);
   rim_.archive(io);
   joining_.archive(io);

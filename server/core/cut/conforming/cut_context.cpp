@@ -12,7 +12,8 @@ CutContext::CutContext(const TetMesh& body, CutWorkspace& marks, const CutConfig
       config(settings),
       h(body.mean_edge_length()),
       clear_m(kClear_h * body.mean_edge_length()),
-      path(config, h) {}
+      path(config, h),
+      others(*this, marks) {}
 
 void CutContext::gather(VertexStar& star, VertexId v) const {
   star.gather(mesh, v, [this](VertexId w) { return on_surface(w); });

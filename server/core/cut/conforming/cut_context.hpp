@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "server/core/cut/conforming/other_blades.hpp"
 #include "server/core/cut/conforming/stroke_path.hpp"
 #include "server/core/cut/conforming/tolerances.hpp"
 #include "server/core/cut/cut_config.hpp"
@@ -32,7 +33,18 @@ struct CutContext {
   // is an old cut like any other.
   bool on_surface(VertexId v) const {
     const CutWorkspace::VertexMarks& marks = workspace.vertices[v];
-    return marks.surface == stroke && marks.batch >= oldest_batch;
+    return (marks.surface == stroke && marks.batch >= oldest_batch) ||
+           (marks.also == stroke && marks.also_batch >= oldest_batch);
+  }
+  // In this batch. Where it lay on another blade's surface, it may lie on both.
+  void put_on_surface(VertexId v) const {
+    CutWorkspace::VertexMarks& marks = workspace.vertices[v];
+    if (marks.surface != stroke) {
+      marks.also = marks.surface;
+      marks.also_batch = marks.batch;
+    }
+    marks.surface = stroke;
+    marks.batch = batch;
   }
   // Or on what was swept before, by any stroke. It may have been moved since.
   bool was_on_surface(VertexId v) const { return workspace.vertices[v].surface != 0; }
@@ -111,6 +123,7 @@ struct CutContext {
   BladeLine front;                 // the blade now
   // The stroke's sweep has come upon a cut, older or its own, or upon the end of a sweep, or leads to the boundary beside it.
   bool meets_cut = false;
+  OtherBlades others;
 
   CutCounts counts;
   mutable WorkMeter work;

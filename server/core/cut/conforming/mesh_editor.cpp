@@ -40,6 +40,12 @@ void MeshEditor::take_what_is_crossed(const VertexStar& star, VertexId v) {
   }
 }
 
+void MeshEditor::move_to(const VertexStar& star, VertexId v, const Vec3& target) {
+  mesh_.move_vertex(v, target);
+  ++cut_.workspace.vertices[v].moves;
+  for (const VertexStar::Corner& c : star.corners()) cut_.others.offer(c.tet);
+}
+
 void MeshEditor::snap(const VertexStar& star, VertexId v, const Vec3& target) {
   const double worst = cut_.worst_at(star, target, kInverted, kFlat_local * star.local_h(), flat_);
   snap(star, v, target, worst, flat_);
@@ -47,11 +53,8 @@ void MeshEditor::snap(const VertexStar& star, VertexId v, const Vec3& target) {
 
 void MeshEditor::snap(const VertexStar& star, VertexId v, const Vec3& target, double worst,
                       std::span<const TetId> flat) {
-  mesh_.move_vertex(v, target);
-  active_.tell_others(v, star.position());
-  ++cut_.workspace.vertices[v].moves;
-  cut_.workspace.vertices[v].surface = cut_.stroke;
-  cut_.workspace.vertices[v].batch = cut_.batch;
+  move_to(star, v, target);
+  cut_.put_on_surface(v);
   ++cut_.counts.snaps;
   // What has three vertices on the surface only now may have a face to open.
   for (const VertexStar::Corner& c : star.corners()) {
@@ -76,8 +79,7 @@ void MeshEditor::snap_to_rim(const VertexStar& star, VertexId v, const Vec3& tar
 
 void MeshEditor::stand(VertexId v) {
   if (cut_.on_surface(v)) return;
-  cut_.workspace.vertices[v].surface = cut_.stroke;
-  cut_.workspace.vertices[v].batch = cut_.batch;
+  cut_.put_on_surface(v);
   mesh_.star(v, star_);
   cut_.work += static_cast<std::int64_t>(star_.size());
   for (Corner c : star_) {
@@ -88,9 +90,7 @@ void MeshEditor::stand(VertexId v) {
 }
 
 void MeshEditor::move(const VertexStar& star, VertexId v, const Vec3& target) {
-  mesh_.move_vertex(v, target);
-  active_.tell_others(v, star.position());
-  ++cut_.workspace.vertices[v].moves;
+  move_to(star, v, target);
   judge_again(star, v);
   if (!cut_.on_surface(v)) take_what_is_crossed(star, v);
   for (const VertexStar::Corner& c : star.corners()) may_move_again(mesh_.vertices(c.tet));
@@ -103,8 +103,7 @@ VertexId MeshEditor::split(TetId tet, VertexId a, VertexId b, double t, NewVerte
   const VertexId m = mesh_.split_edge(tet, a, b, t);
   cut_.work += cost::kSplit * static_cast<std::int64_t>(ring_.size());
   cut_.workspace.grow(mesh_);
-  cut_.workspace.vertices[m].surface = is == NewVertex::kOnSurface ? cut_.stroke : 0;
-  cut_.workspace.vertices[m].batch = cut_.batch;
+  if (is == NewVertex::kOnSurface) cut_.put_on_surface(m);
   if (is == NewVertex::kInBend) {
     in_bend_.push_back(m);
   } else {
@@ -113,12 +112,14 @@ VertexId MeshEditor::split(TetId tet, VertexId a, VertexId b, double t, NewVerte
   for (TetId r : ring_) {
     look_again(r);
     active_.add(r);
+    cut_.others.offer(r);
   }
   made_.insert(made_.end(), ring_.begin(), ring_.end());
   for (TetId n = first; n < mesh_.tet_slots(); ++n) {
     enter(n);
     active_.add(n);
     made_.push_back(n);
+    cut_.others.offer(n);
   }
   ++cut_.counts.splits;
   return m;
@@ -130,14 +131,13 @@ void MeshEditor::split_fan(TetId tet, VertexId a, VertexId b, double t) {
   const VertexId m = mesh_.split_edge(tet, a, b, t);
   cut_.work += cost::kSplit * static_cast<std::int64_t>(ring_.size());
   cut_.workspace.grow(mesh_);
-  if (cut_.on_surface(a) && cut_.on_surface(b)) {
-    cut_.workspace.vertices[m].surface = cut_.stroke;
-    cut_.workspace.vertices[m].batch = cut_.batch;
-  }
+  if (cut_.on_surface(a) && cut_.on_surface(b)) cut_.put_on_surface(m);
   for (std::size_t i = 0; i < ring_.size(); ++i) {
     const TetId n = first + static_cast<TetId>(i);
     enter(n);
     if (active_.has(ring_[i])) active_.add(n);
+    cut_.others.offer(ring_[i]);
+    cut_.others.offer(n);
   }
   ++cut_.counts.splits;
 }
@@ -146,7 +146,6 @@ void MeshEditor::collapse(const VertexStar& star, TetId t, VertexId v, VertexId 
   mesh_.ring(t, v, w, ring_);
   for (TetId& r : ring_) r = mesh_.neighbor(r, mesh_.local_index(r, v));
   mesh_.collapse(t, v, w);
-  active_.tell_others(w, star.position());
   // What lay across from v may lie at the boundary now.
   for (TetId r : ring_) {
     if (r != kNone) enter(r);
@@ -156,6 +155,7 @@ void MeshEditor::collapse(const VertexStar& star, TetId t, VertexId v, VertexId 
     look_again(c.tet);
     active_.add(c.tet);
     made_.push_back(c.tet);
+    cut_.others.offer(c.tet);
     enter(c.tet);
     may_move_again(mesh_.vertices(c.tet));
   }
@@ -172,6 +172,7 @@ std::span<const TetId> MeshEditor::replace(std::span<const TetId> removed,
     enter(t);
     active_.add(t);
     made_.push_back(t);
+    cut_.others.offer(t);
     may_move_again(mesh_.vertices(t));
   }
   ++cut_.counts.repairs;
@@ -361,6 +362,8 @@ void MeshEditor::open(std::span<const HalfFace> faces) {
     account(h);
     cut_.workspace.grid.add(mesh_, tet_of(h));
     cut_.workspace.grid.add(mesh_, tet_of(mesh_.opposite(h)));
+    cut_.others.offer(tet_of(h));
+    cut_.others.offer(tet_of(mesh_.opposite(h)));
   }
   cut_.counts.cut_faces += mesh_.open_faces(faces);
   cut_.workspace.grow(mesh_);

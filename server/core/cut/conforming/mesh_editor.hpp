@@ -34,6 +34,8 @@ namespace incise::core {
 //   open          -             -                            both sides   -            -
 //   fail          -             its star                     -            -            -
 //
+// What each of them makes or changes is offered to other blades, but for what is taken out (OtherBlades).
+//
 // Snaps and splits do not free vertices to be moved again, for they all come before the repairs of their round. Counts
 // what is done (CutContext::counts).
 class MeshEditor {
@@ -103,6 +105,7 @@ class MeshEditor {
   }
   void judge_again(const VertexStar& star, VertexId v);
   void take_what_is_crossed(const VertexStar& star, VertexId v);
+  void move_to(const VertexStar& star, VertexId v, const Vec3& target);
   void remove_flat(TetId t, bool may_stay);
   bool film_hangs_by(std::span<const TetId> flat);
   bool hangs_together_around(TetId t, std::span<const TetId> flat);

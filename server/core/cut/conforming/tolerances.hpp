@@ -66,6 +66,8 @@ inline constexpr double kOne_h = 0.25, kLiesAtCut_h = 0.02, kLies_h = 0.001;
 // A sweep that begins or ends this near before an older cut or the boundary goes on until it is so far beyond. Somewhat more than kOne_h:
 // an older cut may end somewhat before its own rim.
 inline constexpr double kJoinReach_h = 0.35, kJoinBeyond_h = 0.15;
+// What would be closed or parted beyond the sweep itself is left to another blade that is about to part what is nearer than this.
+inline constexpr double kLeftToOthers_h = 1;
 // The parts of a line that are looked at one by one: how long each is, and how many there are at most.
 inline constexpr double kJoinPart_h = 0.25, kMaxJoinParts = 4096;
 // A sweep's end goes on to the walls ahead of it unless more of its parts in the tissue have none: so many for each that has one.
