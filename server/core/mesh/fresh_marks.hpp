@@ -25,6 +25,7 @@ class FreshMarks {
     return last_ - count + 1;
   }
   std::uint32_t& operator[](std::size_t i) { return marks_[i]; }
+  std::uint32_t* data() { return marks_.data(); }
 
  private:
   std::uint32_t last_ = 0;

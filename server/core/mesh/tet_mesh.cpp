@@ -1,6 +1,7 @@
 #include "server/core/mesh/tet_mesh.hpp"
 
 #include <algorithm>
+#include <bit>
 
 #include "protocol/state_hash.hpp"
 #include "server/base/check.hpp"
@@ -8,27 +9,42 @@
 // TetMesh: queries, and the ends of a step. Building is in mesh_build.cpp, changes are in mesh_edit.cpp.
 namespace incise::core {
 
+namespace {
+
+// The faces that have vertex i, ascending.
+constexpr std::uint32_t kFacesAt[4][3] = {{1, 2, 3}, {0, 2, 3}, {0, 1, 3}, {0, 1, 2}};
+
+}  // namespace
+
 // The tetrahedra around v that can be reached from `from` through faces that contain v. What is found is fetched while those
 // found before it are looked at: in a large mesh waiting for memory is most of this.
 void TetMesh::component(VertexId v, TetId from, std::uint32_t mark, std::vector<Corner>& corners) const {
-  std::size_t next = corners.size();
-  tet_marks_[from] = mark;
-  corners.push_back(4 * from);
-  while (next < corners.size()) {
-    Corner& corner = corners[next++];
-    const Tet& tet = tets_[tet_of(corner)];
-    const auto& vertices = tet.vertices;
-    const std::uint32_t i = vertices[0] == v ? 0 : vertices[1] == v ? 1 : vertices[2] == v ? 2 : 3;
-    corner += i;
-    for (std::uint32_t f = 0; f < 4; ++f) {
-      if (f == i || tet.opposite[f] == kNone) continue;
-      const TetId t = tet_of(tet.opposite[f]);
-      if (tet_marks_[t] == mark) continue;
-      tet_marks_[t] = mark;
-      prefetch(t);
-      corners.push_back(4 * t);
+  std::size_t count = 0, room = component_scratch_.size();
+  Corner* found = component_scratch_.data();
+  const Tet* const tets = tets_.data();
+  std::uint32_t* const marks = tet_marks_.data();
+  marks[from] = mark;
+  found[count++] = from;
+  for (std::size_t next = 0; next < count; ++next) {
+    if (count + 3 > room) {
+      component_scratch_.resize(2 * room);
+      room = component_scratch_.size();
+      found = component_scratch_.data();
+    }
+    const TetId t = found[next];
+    const Tet& tet = tets[t];
+    const auto i = static_cast<unsigned>(std::countr_zero(which_are(tet.vertices, v)));
+    found[next] = 4 * t + i;
+    for (const std::uint32_t f : kFacesAt[i]) {
+      if (tet.opposite[f] == kNone) continue;
+      const TetId beyond = tet_of(tet.opposite[f]);
+      if (marks[beyond] == mark) continue;
+      marks[beyond] = mark;
+      __builtin_prefetch(&tets[beyond]);
+      found[count++] = beyond;
     }
   }
+  corners.insert(corners.end(), found, found + count);
 }
 
 void TetMesh::prefetch_around(std::vector<TetId>& tets, std::size_t most) const {

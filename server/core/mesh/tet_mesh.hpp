@@ -2,7 +2,9 @@
 
 #include <algorithm>
 #include <array>
+#include <bit>
 #include <cstdint>
+#include <cstring>
 #include <span>
 #include <stdexcept>
 #include <string>
@@ -52,6 +54,21 @@ inline constexpr std::array<std::uint8_t, 16> kEdgesAcross = [] {
   }
   return across;
 }();
+
+// Bit i: the i-th of the four is `value`. Without branches, which would go wrong half of the time.
+inline unsigned which_are(const std::array<std::uint32_t, 4>& four, std::uint32_t value) {
+#if defined(__SSE__)
+  using Lanes = std::uint32_t __attribute__((vector_size(16)));
+  using Floats = float __attribute__((vector_size(16)));
+  Lanes lanes;
+  std::memcpy(&lanes, four.data(), sizeof lanes);
+  return static_cast<unsigned>(__builtin_ia32_movmskps(reinterpret_cast<Floats>(lanes == value)));
+#else
+  unsigned bits = 0;
+  for (unsigned i = 0; i < 4; ++i) bits |= (four[i] == value ? 1u : 0u) << i;
+  return bits;
+#endif
+}
 
 inline std::array<VertexId, 3> ascending(std::array<VertexId, 3> f) {
   if (f[0] > f[1]) std::swap(f[0], f[1]);
@@ -147,14 +164,9 @@ class TetMesh {
   bool came_cut() const { return came_cut_; }
   std::uint8_t cut_mask(TetId t) const { return cut_masks_[t]; }
   std::uint8_t boundary_mask(TetId t) const {
-    unsigned mask = 0;
-    for (unsigned f = 0; f < 4; ++f) mask |= (tets_[t].opposite[f] == kNone ? 1u : 0u) << f;
-    return static_cast<std::uint8_t>(mask);
+    return static_cast<std::uint8_t>(which_are(tets_[t].opposite, kNone));
   }
-  bool on_boundary(TetId t) const {
-    const auto& o = tets_[t].opposite;
-    return std::max(std::max(o[0], o[1]), std::max(o[2], o[3])) == kNone;
-  }
+  bool on_boundary(TetId t) const { return which_are(tets_[t].opposite, kNone) != 0; }
   std::array<VertexId, 3> face_vertices(HalfFace h) const {
     const auto& v = tets_[tet_of(h)].vertices;
     const auto& f = kFaceVertices[face_of(h)];
@@ -168,11 +180,8 @@ class TetMesh {
   }
   // Which of its four vertices v is; -1 where it does not have v.
   int local_index(TetId t, VertexId v) const {
-    const auto& tet = tets_[t].vertices;
-    for (int i = 0; i < 4; ++i) {
-      if (tet[i] == v) return i;
-    }
-    return -1;
+    const unsigned at = which_are(tets_[t].vertices, v);
+    return at == 0 ? -1 : std::countr_zero(at);
   }
   TetState state(TetId t) const { return {t, tets_[t].vertices, region(t), cut_masks_[t], boundary_mask(t)}; }
   double volume(TetId t) const {
@@ -364,6 +373,7 @@ class TetMesh {
   Noted noted_;
   std::vector<std::uint8_t> edges_inside_;  // of each face that opens
   mutable std::vector<Corner> star_scratch_;
+  mutable std::vector<Corner> component_scratch_ = std::vector<Corner>(256);
   mutable std::vector<TetId> ring_scratch_;
 };
 

@@ -106,38 +106,33 @@ const WorstOfLanes kWorstOfLanes = choose();
 
 }  // namespace
 
+// Finds its corners. Where their vertices are is read when all are known, for it is in no cache as a rule.
 void VertexStar::begin(const TetMesh& mesh, VertexId v) {
   mesh.star(v, corner_ids_);
-  for (std::uint32_t id : corner_ids_) {
-    for (VertexId other : mesh.vertices(tet_of(id))) mesh.prefetch_position(other);
-  }
   position_ = mesh.position(v);
   local_h_ = mesh.local_h(v);
-  corners_.resize(corner_ids_.size());
   flattenable_.clear();
   walls_.clear();
   wall_area_ = {};
   volume_ = -1;
   worst_lanes_ = 0;
+  corners_.resize(corner_ids_.size());
   lanes_.resize((corner_ids_.size() + 3) / 4);
-}
-
-VertexStar::Corner& VertexStar::read(const TetMesh& mesh, std::size_t index) {
-  Corner& corner = corners_[index];
-  corner.tet = tet_of(corner_ids_[index]);
-  const int i = index_of(corner_ids_[index]);
-  const auto& vertices = mesh.vertices(corner.tet);
-  double* const lane = &lanes_[index / 4].p[0][index % 4];
-  for (int k = 0; k < 3; ++k) {
-    const VertexId other = vertices[kFaceVertices[i][k]];
-    corner.others[k] = other;
-    const Vec3& p = mesh.position(other);
-    lane[12 * k] = p.x;
-    lane[12 * k + 4] = p.y;
-    lane[12 * k + 8] = p.z;
+  // Only a vertex of the boundary has faces with nothing beyond them.
+  const bool has_walls = mesh.has_regions() || mesh.at_boundary(v);
+  Corner* corner = corners_.data();
+  for (const std::uint32_t id : corner_ids_) {
+    const auto& vertices = mesh.vertices(tet_of(id));
+    const auto& others = kFaceVertices[index_of(id)];
+    corner->tet = tet_of(id);
+    for (std::size_t k = 0; k < 3; ++k) {
+      corner->others[k] = vertices[others[k]];
+      mesh.prefetch_position(corner->others[k]);
+    }
+    if (has_walls && (mesh.has_regions() || mesh.on_boundary(corner->tet)))
+      add_walls(mesh, corner->tet, index_of(id));
+    ++corner;
   }
-  if (mesh.has_regions() || mesh.on_boundary(corner.tet)) add_walls(mesh, corner.tet, i);
-  return corner;
 }
 
 // The faces of t at its vertex i that have nothing beyond them, or another region.
@@ -156,9 +151,22 @@ void VertexStar::add_walls(const TetMesh& mesh, TetId t, int i) {
   }
 }
 
-void VertexStar::finish() {
-  for (std::size_t i = corners_.size(); i % 4 != 0; ++i) {
-    for (auto& row : lanes_.back().p) row[i % 4] = row[(corners_.size() - 1) % 4];
+// Where the vertices are.
+void VertexStar::finish(const TetMesh& mesh) {
+  if (corners_.empty()) return;
+  const Corner* corner = &corners_.front();
+  const Corner* const last = &corners_.back();
+  for (Lanes& lanes : lanes_) {
+    for (std::size_t lane = 0; lane < 4; ++lane) {
+      for (std::size_t k = 0; k < 3; ++k) {
+        const Vec3& p = mesh.position(corner->others[k]);
+        lanes.p[3 * k][lane] = p.x;
+        lanes.p[3 * k + 1][lane] = p.y;
+        lanes.p[3 * k + 2][lane] = p.z;
+      }
+      // What is left of the last lanes is filled up with copies of the last corner.
+      if (corner != last) ++corner;
+    }
   }
 }
 

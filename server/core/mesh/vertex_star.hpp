@@ -27,13 +27,14 @@ class VertexStar {
   template <class OnSurface>
   void gather(const TetMesh& mesh, VertexId v, OnSurface on_surface) {
     begin(mesh, v);
-    for (std::uint32_t i = 0; i < corners_.size(); ++i) {
-      Corner& corner = read(mesh, i);
+    std::uint32_t i = 0;
+    for (Corner& corner : corners_) {
       corner.may_flatten =
           on_surface(corner.others[0]) && on_surface(corner.others[1]) && on_surface(corner.others[2]);
       if (corner.may_flatten) flattenable_.push_back(i);
+      ++i;
     }
-    finish();
+    finish(mesh);
   }
 
   const std::vector<Corner>& corners() const { return corners_; }
@@ -72,9 +73,8 @@ class VertexStar {
   friend struct LaneKernels;
 
   void begin(const TetMesh& mesh, VertexId v);
-  Corner& read(const TetMesh& mesh, std::size_t index);
   void add_walls(const TetMesh& mesh, TetId t, int i);
-  void finish();
+  void finish(const TetMesh& mesh);
   void leave_out(std::size_t corner) const;
 
   Vec3 position_;
