@@ -383,12 +383,31 @@ std::uint32_t TetMesh::open_faces(std::span<const HalfFace> faces) {
   return opened;
 }
 
+// Whether the star of a tetrahedron's vertex i may come apart without it. The faces of its that go on hang together around the edges inside the
+// tissue: each of these joins the two faces at it.
+bool TetMesh::may_part_without(TetId t, int i) const {
+  const auto& tet = tets_[t];
+  int beyond = 0, joined = 0;
+  for (int f = 0; f < 4; ++f) {
+    if (f == i) continue;
+    beyond += tet.opposite[f] != kNone ? 1 : 0;
+    joined += is_inside(t, tet.vertices[i], tet.vertices[f]) ? 1 : 0;
+  }
+  return joined + 1 < beyond;
+}
+
 void TetMesh::remove_tet(TetId t) {
   begin_noting(12);
+  unsigned whole = 0;  // bit i: the star of vertex i stays in one
+  for (int i = 0; i < 4; ++i) whole |= (may_part_without(t, i) ? 0u : 1u) << i;
   for (int f = 0; f < 4; ++f) {
     const HalfFace o = tets_[t].opposite[f];
     if (o != kNone) open_side(o);
   }
+  const auto stays_whole = [&](const Noted::Star& star) {
+    return (whole >> local_index(t, star.vertex) & 1) != 0;
+  };
+  std::erase_if(noted_.stars, stays_whole);
   for (int i = 0; i < 4; ++i) {
     const VertexId v = tets_[t].vertices[i];
     if (vertices_[v].tet != t) continue;

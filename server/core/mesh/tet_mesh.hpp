@@ -345,6 +345,7 @@ class TetMesh {
   void note_side(VertexId v, HalfFace side);
   void open_side(HalfFace side);
   bool may_part(const Noted::Star& star) const;
+  bool may_part_without(TetId t, int i) const;
   void split_noted_stars();
   // mesh_deform.cpp
   Vec3 material_at(VertexId v, const Vec3& position) const;
