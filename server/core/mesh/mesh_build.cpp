@@ -162,7 +162,8 @@ void TetMesh::find_boundary() {
   at_boundary_.assign(vertices_.size(), 0);
   for (HalfFace h = 0; h < 4 * tet_slots(); ++h) {
     if (!alive(tet_of(h)) || opposite(h) != kNone) continue;
-    for (const VertexId v : face_vertices(h)) at_boundary_[v] = 1;
+    const bool cut = (cut_masks_[tet_of(h)] >> face_of(h) & 1) != 0;
+    for (const VertexId v : face_vertices(h)) at_boundary_[v] |= cut ? kAtBoundary | kAtCut : kAtBoundary;
   }
 }
 

@@ -71,7 +71,7 @@ VertexId TetMesh::split_edge(TetId from, VertexId a, VertexId b, double t) {
         const std::size_t q = ring_scratch_[next] == other ? next : previous;
         tets_[far].opposite[k] = half_face(first_half + static_cast<TetId>(q), face_of(h_near));
       } else if (k != j) {
-        at_boundary_[m] = 1;
+        at_boundary_[m] = kAtBoundary | (at_boundary_[a] & at_boundary_[b] & kAtCut);
       }
     }
     link(half_face(near, i), half_face(far, j));
@@ -220,7 +220,9 @@ void TetMesh::collapse(TetId from, VertexId v, VertexId w) {
   vertices_[v].tet = kNone;
   at_boundary_[w] |= std::exchange(at_boundary_[v], std::uint8_t{0});
   if (healed == kNone) return;
-  for (const VertexId x : {w, healed}) at_boundary_[x] = has_boundary_face(x) ? 1 : 0;
+  for (const VertexId x : {w, healed}) {
+    if (!has_boundary_face(x)) at_boundary_[x] = 0;
+  }
 }
 
 // The third vertex of a face that alone was opened between v and w, with both of its sides at the boundary: a collapse closes it. Of
@@ -301,7 +303,7 @@ void TetMesh::open_side(HalfFace side) {
   cut_masks_[t] |= static_cast<std::uint8_t>(1u << face_of(side));
   for (const VertexId v : face_vertices(side)) {
     note_side(v, side);
-    at_boundary_[v] = 1;
+    at_boundary_[v] = kAtBoundary | kAtCut;
   }
 }
 

@@ -120,6 +120,8 @@ class TetMesh {
   double local_h(VertexId v) const { return static_cast<double>(vertices_[v].h); }
   // Whether a face at v has nothing on its other side. O(1).
   bool at_boundary(VertexId v) const { return at_boundary_[v] != 0; }
+  // False: no face at v has been opened by a cut. O(1).
+  bool may_be_at_cut(VertexId v) const { return (at_boundary_[v] & kAtCut) != 0; }
 
   // For what will be read soon. Functions that only do this, and that GCC does not inline by itself, have to be inlined by force: it takes
   // one without any effect for one that need not be called.
@@ -355,8 +357,10 @@ class TetMesh {
   void component(VertexId v, TetId from, std::uint32_t mark, std::vector<Corner>& corners) const;
 
   std::vector<Vertex> vertices_;
-  std::vector<std::uint8_t> at_boundary_;  // by vertex
-  std::vector<Vec3> rest_;                 // likewise, once deformed
+  // By vertex: kAtBoundary, and kAtCut where one of its boundary faces is or was one of a cut; else 0.
+  static constexpr std::uint8_t kAtBoundary = 1, kAtCut = 2;
+  std::vector<std::uint8_t> at_boundary_;
+  std::vector<Vec3> rest_;  // likewise, once deformed
   std::vector<Tet> tets_;
   std::vector<std::uint8_t> cut_masks_;  // by tetrahedron
   std::vector<std::int32_t> regions_;    // likewise; none: all are in region_

@@ -57,6 +57,9 @@ std::string check_star(const TetMesh& mesh, VertexId v, std::vector<std::uint32_
       star, [&](Corner c) { return (mesh.boundary_mask(tet_of(c)) & ~(1u << index_of(c))) != 0; });
   if (mesh.at_boundary(v) != at_boundary)
     return "vertex " + std::to_string(v) + (at_boundary ? " is" : " is not") + " at the boundary";
+  const bool at_cut = std::ranges::any_of(
+      star, [&](Corner c) { return (mesh.cut_mask(tet_of(c)) & ~(1u << index_of(c))) != 0; });
+  if (at_cut && !mesh.may_be_at_cut(v)) return "vertex " + std::to_string(v) + " is at a cut";
   return {};
 }
 

@@ -29,6 +29,7 @@ void ClosingStage::begin(std::span<const HalfFace> opened) {
   apart_ = kNone;
   bridges_.stop();
   parts_.begin();
+  offs_serial_ = cut_.workspace.next_serial();
   round_ = Kind::kAcross;
   pass_.begin();
   go(Phase::kCollect);
@@ -259,6 +260,9 @@ bool ClosingStage::has_to_wait(HalfFace h) {
 bool ClosingStage::may_close(Gap& gap) {
   const HalfFace h = gap.face;
   double& off_m = gap.off_m;
+  const auto v = mesh_.face_vertices(h);
+  // Most have a vertex at the skin that is far from all cuts, which is known from other faces.
+  if (std::ranges::any_of(v, [this](VertexId w) { return lies_away(w); })) return false;
   const Vec3 middle = mesh_.face_middle(h);
   if (!is_near(middle, off_m)) {
     gap.meets = gap.by_thickness = holes_.is_hole(h);
@@ -269,8 +273,7 @@ bool ClosingStage::may_close(Gap& gap) {
   const double b = triangle.signed_distance(reference_point(cut_, tet_of(mesh_.opposite(h))));
   const bool beside = cut_.is_beside(a, b);
   // What is at an older cut may be farther off, but not in a rib.
-  const auto lies_near = [&](VertexId w) { return cut_.on_surface(w) || is_near(mesh_.position(w), off_m); };
-  const auto v = mesh_.face_vertices(h);
+  const auto lies_near = [&](VertexId w) { return cut_.on_surface(w) || is_near(w, off_m); };
   const bool near = beside && std::ranges::all_of(v, lies_near) && off_m <= kRib_h * cut_.h;
   const bool is_rib = beside && !is_at_end(middle);
   gap.kind = is_rib ? Kind::kRib : Kind::kAcross;
@@ -292,12 +295,9 @@ bool ClosingStage::may_be_neck(Gap& gap) {
   if (std::ranges::none_of(v, [this](VertexId w) { return cut_.on_surface(w); })) return false;
   for (VertexId w : v) {
     if (cut_.on_surface(w)) continue;
-    Vec3 closest;
-    cut_.work += cost::kNearby;
-    const double reach_m =
-        std::clamp(kNeckOff_local * mesh_.local_h(w), kNeckOff_h * cut_.h, kNeckFar_h * cut_.h);
-    if (cut_.surface().closest(mesh_.position(w), reach_m, closest, nearest_, nearest_)) {
-      gap.off_m = std::max(gap.off_m, distance(mesh_.position(w), closest));
+    const double off_m = off_surface_m(w);
+    if (off_m < INFINITY) {
+      gap.off_m = std::max(gap.off_m, off_m);
     } else if (!cut_.at_cut(w)) {  // There it lies on what was swept before, by this stroke as well.
       return false;
     }
@@ -305,6 +305,19 @@ bool ClosingStage::may_be_neck(Gap& gap) {
   bool continues = false;
   // What is several faces wide has some with one edge there.
   return holes_.edges_at_boundary(gap.face, continues) >= (gap.off_m > 0 ? 1 : 2);
+}
+
+// How far a vertex of a neck is off the surface; INFINITY: too far.
+double ClosingStage::off_surface_m(VertexId v) {
+  Off& known = far_[v % kOffs];
+  if (known.serial == offs_serial_ && known.vertex == v) return known.off_m;
+  Vec3 closest;
+  cut_.work += cost::kNearby;
+  const double reach_m =
+      std::clamp(kNeckOff_local * mesh_.local_h(v), kNeckOff_h * cut_.h, kNeckFar_h * cut_.h);
+  const bool is_near = cut_.surface().closest(mesh_.position(v), reach_m, closest, nearest_, nearest_);
+  known = {offs_serial_, v, is_near ? distance(mesh_.position(v), closest) : INFINITY};
+  return known.off_m;
 }
 
 // Whether a sweep begins or ends near p.
@@ -316,6 +329,23 @@ bool ClosingStage::is_at_end(const Vec3& p) {
     if (squared_distance_to_segment(p, line.heel, line.tip) <= reach * reach) return true;
   }
   return false;
+}
+
+// Whether v is at no cut, and not near what is swept.
+bool ClosingStage::lies_away(VertexId v) {
+  double off_m = 0;
+  return !cut_.was_on_surface(v) && !cut_.stands(v) && !cut_.at_cut(v) && !is_near(v, off_m);
+}
+
+bool ClosingStage::is_near(VertexId v, double& off_m) {
+  Off& known = near_[v % kOffs];
+  if (known.serial != offs_serial_ || known.vertex != v) {
+    double its_m = 0;
+    const bool is = is_near(mesh_.position(v), its_m);
+    known = {offs_serial_, v, is ? its_m : INFINITY};
+  }
+  if (known.off_m < INFINITY) off_m = std::max(off_m, known.off_m);
+  return known.off_m < INFINITY;
 }
 
 bool ClosingStage::is_near(const Vec3& p, double& off_m) {

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <span>
@@ -129,6 +130,9 @@ class ClosingStage {
   bool all_at_boundary(HalfFace h) const;
   bool may_close(Gap& gap);
   bool may_be_neck(Gap& gap);
+  double off_surface_m(VertexId v);
+  bool lies_away(VertexId v);
+  bool is_near(VertexId v, double& off_m);
   bool is_near(const Vec3& p, double& off_m);
   bool is_at_end(const Vec3& p);
   static bool is_part(Part part) { return part == Part::kSmall || part == Part::kLarge; }
@@ -165,6 +169,15 @@ class ClosingStage {
   std::vector<Gap> doubtful_;    // between two large parts, when the stroke ends
   TetPass pass_;                 // whose faces have been considered
   std::uint32_t nearest_ = 0;    // the surface's triangle that is_near() has found
+  // How far vertices are off the surface; INFINITY: too far. Some faces share one, and none is moved in this stage. Vertices share places.
+  struct Off {
+    std::uint32_t serial = 0;  // of the batch
+    VertexId vertex = kNone;
+    double off_m = 0;
+  };
+  static constexpr std::size_t kOffs = 256;
+  std::array<Off, kOffs> near_, far_;  // that is_near() and off_surface_m() have found
+  std::uint32_t offs_serial_ = 0;
   Parts parts_;
   TwoSides sides_;
   TissueGrid grid_;

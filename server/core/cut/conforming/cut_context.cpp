@@ -71,6 +71,7 @@ double CutContext::worst_after_split(TetId tet, VertexId a, VertexId b, double t
 }
 
 bool CutContext::at_cut(VertexId v) const {
+  if (!mesh.may_be_at_cut(v)) return false;
   mesh.star(v, corners_);
   work.add(corners_.size(), cost::kStarCornersAUnit);
   return std::ranges::any_of(
