@@ -10,6 +10,8 @@ namespace {
 
 // Of a squared reach: far more than arithmetic loses, far less than anything that matters.
 constexpr double kRounded = 1e-6;
+// A surface is flat if no normal is off another one by more than this, and it is so this part of its size beside it, too.
+constexpr double kFlatWithin = 1e-9, kBesideFlat = 0.01;
 
 }  // namespace
 
@@ -80,6 +82,33 @@ void SweptSurface::build(std::size_t latest) {
   built_ = triangles_.size();
   const std::size_t from = std::min(latest, triangles_.size());
   latest_.build(triangles_, from, from);
+  find_flat_box();
+}
+
+void SweptSurface::find_flat_box() {
+  flat_box_ = kNowhere;
+  if (triangles().empty()) return;
+  const SweptTriangle& first = triangles().front();
+  const auto sign_of = [&](const SweptTriangle& s) { return dot(s.normal, first.normal) < 0 ? -1.0 : 1.0; };
+  const auto turn_of = [&](const SweptTriangle& s) {
+    const Vec3 by = sign_of(s) * s.normal - first.normal;
+    return std::abs(by.x) + std::abs(by.y) + std::abs(by.z);
+  };
+  // What a hand sweeps bends soon.
+  if (std::ranges::any_of(triangles(), [&](const SweptTriangle& s) { return turn_of(s) > kFlatWithin; }))
+    return;
+  Box box = kNowhere;
+  for (const SweptTriangle& s : triangles()) box.add({s.low, s.high});
+  const Vec3 middle = 0.5 * (box.low + box.high), half = (0.5 + kBesideFlat) * (box.high - box.low);
+  const double reach_m = std::max({half.x, half.y, half.z});
+  flat_off_m_ = 0;
+  for (const SweptTriangle& s : triangles()) {
+    const double sign = sign_of(s);
+    const double at_middle = dot(sign * s.normal - first.normal, middle) - (sign * s.offset - first.offset);
+    flat_off_m_ = std::max(flat_off_m_, std::abs(at_middle) + turn_of(s) * reach_m);
+  }
+  const Vec3 reach{reach_m, reach_m, reach_m};
+  flat_box_ = {middle - reach, middle + reach};
 }
 
 std::size_t SweptSurface::drop_before(std::uint32_t oldest) {

@@ -5,6 +5,7 @@
 #include <span>
 #include <vector>
 
+#include "server/core/geometry/box.hpp"
 #include "server/core/stroke/swept_tree.hpp"
 #include "server/core/stroke/swept_triangle.hpp"
 #include "server/core/util/archive.hpp"
@@ -61,6 +62,16 @@ class SweptSurface {
   // nothing is within reach. `likely`: a triangle near p, if one is known, so that less is looked at.
   bool closest(const Vec3& p, double reach, Vec3& point, std::uint32_t& triangle,
                std::uint32_t likely = UINT32_MAX) const;
+  // Where it is flat, as a straight sweep leaves it: a triangle whose plane those of all others are no farther off than that within flat_box(),
+  // as it was when it was built; else none. O(1).
+  const SweptTriangle* flat(double off_m) const {
+    return flat_box_.low.x <= flat_box_.high.x && flat_off_m_ <= off_m ? &triangles_[first_] : nullptr;
+  }
+  const Box& flat_box() const { return flat_box_; }
+  // Whether it is flat, and p lies in the planes of all its triangles, to within `clear_m`.
+  bool is_in_all_planes(const Vec3& p, double clear_m) const {
+    return flat_box_.has(p) && std::abs(triangles_[first_].signed_distance(p)) + flat_off_m_ <= 0.5 * clear_m;
+  }
   // Whether there is one.
   bool is_within(const Vec3& p, double reach) const;
   // Whether there is one that a blade has swept.
@@ -78,12 +89,17 @@ class SweptSurface {
   // Leaves out those with one of these bits in `rim`.
   bool is_within(const Vec3& p, double reach, std::uint8_t without) const;
 
+  void find_flat_box();
   // Whether a query may find that triangle.
   bool has(std::uint32_t index) const { return index >= first_ && index < built_; }
 
   std::vector<SweptTriangle> triangles_;
   std::size_t first_ = 0;  // those before are forgotten, but still in all_
   std::size_t built_ = 0;  // so many of them are in all_ as they are
+  // Where it is flat a box around it, else one that holds nothing; and how far off the first one's plane the others' are in there.
+  static constexpr Box kNowhere{{INFINITY, INFINITY, INFINITY}, {-INFINITY, -INFINITY, -INFINITY}};
+  Box flat_box_ = kNowhere;
+  double flat_off_m_ = 0;
   SweptTree all_, latest_;
 };
 

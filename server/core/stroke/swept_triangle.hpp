@@ -24,6 +24,7 @@ struct SweptTriangle {
   // Bit k: the sweep ends at the edge between corners k and k+1. kContinues: no blade has been here, it leads from the sweep's end to a wall.
   // kStarts: the edge between corners 0 and 1 is a part of the line that its quad starts from; kTurns: and the sweep turns sharply there.
   std::uint8_t rim = 0;
+  static constexpr std::uint8_t kRims = 7;
   static constexpr std::uint8_t kContinues = 8, kStarts = 16, kTurns = 32;
 
   double signed_distance(const Vec3& p) const { return dot(normal, p) - offset; }

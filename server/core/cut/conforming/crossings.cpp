@@ -14,7 +14,21 @@ void Crossings::begin_batch() {
   }
 }
 
-void Crossings::add(VertexId a, VertexId b, TetId t, std::uint32_t triangle, double at) {
+// Which of the collection is of the edge (a, b), a < b; kNone: none is.
+std::uint32_t Crossings::find(VertexId a, VertexId b) const {
+  const CutWorkspace::VertexMarks& marks = cut_.workspace.vertices[a];
+  if (marks.crossings != collection_) return kNone;
+  std::uint32_t c = marks.first_crossing;
+  while (c != kNone && list_[c].b != b) c = list_[c].next;
+  return c;
+}
+
+bool Crossings::is_inside(VertexId a, VertexId b) const {
+  const std::uint32_t c = find(std::min(a, b), std::max(a, b));
+  return c != kNone && list_[c].inside && list_[c].batch == cut_.batch;
+}
+
+void Crossings::add(VertexId a, VertexId b, TetId t, std::uint32_t triangle, double at, bool inside) {
   if (b < a) {
     std::swap(a, b);
     at = 1 - at;
@@ -24,10 +38,9 @@ void Crossings::add(VertexId a, VertexId b, TetId t, std::uint32_t triangle, dou
     marks.crossings = collection_;
     marks.first_crossing = kNone;
   }
-  for (std::uint32_t c = marks.first_crossing; c != kNone; c = list_[c].next) {
-    if (list_[c].b == b) return;
-  }
-  list_.push_back({std::min(at, 1 - at), at, a, b, t, triangle, marks.first_crossing, cut_.batch, false});
+  if (find(a, b) != kNone) return;
+  list_.push_back(
+      {std::min(at, 1 - at), at, a, b, t, triangle, marks.first_crossing, cut_.batch, false, inside});
   marks.first_crossing = static_cast<std::uint32_t>(list_.size() - 1);
 }
 
@@ -54,7 +67,7 @@ void Crossings::archive(Archive& io) {
     // A crossing of an earlier batch is looked for again; one of a later batch would not be.
     io.demand(c.batch <= cut_.batch, "a crossing of a later batch");
     io.demand(c.nearness == c.nearness && c.at >= 0 && c.at <= 1, "a crossing beyond its edge");
-    if (io.reads()) c.done = false;
+    if (io.reads()) c.done = c.inside = false;
   });
 }
 

@@ -18,6 +18,7 @@ struct Crossing {
   std::uint32_t next;      // in the chain of crossings at vertex a
   std::uint32_t batch;     // that found it
   bool done;
+  bool inside;  // clearly amid the triangle, of what was swept last
 };
 
 // The crossings that wait: search and verification find them, the crossing stage deals with them.
@@ -33,13 +34,17 @@ class Crossings {
   void begin_batch();
   void begin_collection() { collection_ = cut_.workspace.next_serial(); }
   // `at`: at a + at (b - a).
-  void add(VertexId a, VertexId b, TetId t, std::uint32_t triangle, double at);
+  void add(VertexId a, VertexId b, TetId t, std::uint32_t triangle, double at, bool inside = false);
+  // Whether this batch has found the edge to be crossed clearly amid a triangle.
+  bool is_inside(VertexId a, VertexId b) const;
   void drop_done();
 
   void clinging(std::vector<VertexId>& out) const;
   void archive(Archive& io);
 
  private:
+  std::uint32_t find(VertexId a, VertexId b) const;
+
   CutContext& cut_;
   std::vector<Crossing> list_;
   std::uint32_t collection_ = 0;  // its serial

@@ -21,6 +21,7 @@ void SearchStage::begin() {
   queue_next_ = 0;
   candidates_.clear();
   next_candidate_ = 0;
+  plane_ = find_plane();
   // Where nothing new was swept there is nothing to find, but for the rim at the stroke's end.
   const bool sweeps = cut_.surface().size() > cut_.path.first_latest();
   go(sweeps || !cut_.has_front ? Phase::kActive : Phase::kRim, 0);
@@ -151,13 +152,70 @@ bool SearchStage::probe(TetId t) {
   const auto& v = mesh_.vertices(t);
   const FourPoints p(
       {mesh_.position(v[0]), mesh_.position(v[1]), mesh_.position(v[2]), mesh_.position(v[3])});
-  bool meets = false;
   const double slack_m = (mesh_.cut_mask(t) != 0 ? kOne_h : kLies_h) * cut_.h;
+  if (plane_ != nullptr) {
+    const Meets known = probe_plane(t, p, slack_m);
+    if (known != Meets::kUnsure) return known == Meets::kYes;
+  }
+  bool meets = false;
   cut_.surface().any_latest_between(p, slack_m, [&](std::uint32_t index) {
     meets = probe_triangle(t, p, slack_m, index) || meets;
     return false;
   });
   return meets;
+}
+
+const SweptTriangle* SearchStage::find_plane() const {
+  const SweptSurface& surface = cut_.surface();
+  const SweptTriangle* const plane = surface.flat(0.5 * cut_.clear_m);
+  if (plane == nullptr) return nullptr;
+  for (std::size_t i = cut_.path.first_latest(); i < surface.size(); ++i) {
+    if ((surface[i].rim & (SweptTriangle::kRims | SweptTriangle::kTurns)) != 0) return nullptr;
+  }
+  return plane;
+}
+
+// The same in the midst of a flat sweep: nearly all tetrahedra there are crossed clearly or not at all, and what crosses their edges is known from others.
+SearchStage::Meets SearchStage::probe_plane(TetId t, const FourPoints& p, double slack_m) {
+  double off[4];
+  p.along(plane_->normal, plane_->offset, off);
+  if (FourPoints::nearest(off) <= slack_m + cut_.clear_m) return Meets::kUnsure;
+  const auto& v = mesh_.vertices(t);
+  const Box& box = cut_.surface().flat_box();
+  if (!box.has({FourPoints::least(p.x), FourPoints::least(p.y), FourPoints::least(p.z)}) ||
+      !box.has({FourPoints::most(p.x), FourPoints::most(p.y), FourPoints::most(p.z)}))
+    return Meets::kUnsure;
+  unsigned edges = kEdgesAcross[FourPoints::from(off, 0)];
+  if (edges == 0) return Meets::kNo;
+  for (; edges != 0; edges &= edges - 1) {
+    const auto& edge = kEdgeVertices[std::countr_zero(edges)];
+    const VertexId a = v[edge[0]], b = v[edge[1]];
+    if (!crossings_.is_inside(a, b) && !find_inside(t, a, b)) return Meets::kUnsure;
+  }
+  return Meets::kYes;
+}
+
+// Adds the crossing of an edge that crosses the plane, if it is clearly amid a triangle, and beside those before it.
+bool SearchStage::find_inside(TetId t, VertexId a, VertexId b) {
+  const Vec3 &p = mesh_.position(a), &q = mesh_.position(b);
+  const double clear = 2 * cut_.clear_m;
+  bool inside = false;
+  cut_.surface().any_latest_between(Points<2>({p, q}), clear, [&](std::uint32_t index) {
+    const SweptTriangle& triangle = cut_.surface()[index];
+    const double p_off = triangle.signed_distance(p), q_off = triangle.signed_distance(q);
+    const double at = p_off / (p_off - q_off);
+    double least = INFINITY;
+    for (std::size_t k = 0; k < 3; ++k) {
+      const double from = dot(triangle.inward[k], p) - triangle.inward_offset[k];
+      const double to = dot(triangle.inward[k], q) - triangle.inward_offset[k];
+      least = std::min(least, from + at * (to - from));
+    }
+    if (least < -clear) return false;
+    inside = least > clear;
+    if (inside) crossings_.add(a, b, t, index, at, true);
+    return true;
+  });
+  return inside;
 }
 
 // How far the corners of a tetrahedron are above the plane of a swept triangle, and inside each of its sides.
@@ -231,6 +289,8 @@ bool SearchStage::probe_triangle(TetId t, const FourPoints& p, double slack_m, s
   }
   bool passes_beside = false;
   for (const auto& inside : beside.inside) {
+    // Where all corners are inside, so are all places between them.
+    if (FourPoints::least(inside) > 2 * clear) continue;
     double most = -INFINITY;
     for (int e = 0; e < count; ++e) {
       const double from = inside[ends[e][0]], x = from + at[e] * (inside[ends[e][1]] - from);

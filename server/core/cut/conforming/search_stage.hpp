@@ -47,6 +47,10 @@ class SearchStage {
   bool end_of_rim(WorkBudget& budget);
   void enqueue(TetId t);
   bool probe(TetId t);
+  enum class Meets { kNo, kYes, kUnsure };
+  const SweptTriangle* find_plane() const;
+  Meets probe_plane(TetId t, const FourPoints& p, double slack_m);
+  bool find_inside(TetId t, VertexId a, VertexId b);
   struct Beside;
   void probe_rims(TetId t, const SweptTriangle& triangle, const Beside& at);
   void note_standing(TetId t, const SweptTriangle& triangle, const Beside& at, double reach_m);
@@ -59,6 +63,8 @@ class SearchStage {
   RimStage& rim_;
   MeshEditor& editor_;
 
+  // Where what was swept last is flat and has no rim: a triangle in whose plane it lies.
+  const SweptTriangle* plane_ = nullptr;
   Phase phase_ = Phase::kActive;
   std::size_t next_ = 0;  // how far the phase is, in its list
   TetPass searched_;

@@ -45,9 +45,17 @@ void VerifyStage::fail_found() {
 bool VerifyStage::collect_from(TetId t) {
   bool clear = true;
   const auto& v = mesh_.vertices(t);
+  // Of a flat surface an edge meets nothing but its end that lies on it.
+  unsigned on = 0, flat = 0;
+  for (unsigned i = 0; i < 4; ++i) {
+    if (!cut_.on_surface(v[i])) continue;
+    on |= 1u << i;
+    flat |= (cut_.surface().is_in_all_planes(mesh_.position(v[i]), cut_.clear_m) ? 1u : 0u) << i;
+  }
   for (const auto& edge : kEdgeVertices) {
+    const unsigned ends = 1u << edge[0] | 1u << edge[1];
+    if ((on & ends) == ends || (flat & ends) != 0) continue;
     const VertexId a = v[edge[0]], b = v[edge[1]];
-    if (cut_.on_surface(a) && cut_.on_surface(b)) continue;
     const SeenEdges::Seen seen = seen_.look_up(a, b);
     const bool edge_clear =
         seen == SeenEdges::Seen::kNot ? collect_from(t, a, b) : seen == SeenEdges::Seen::kClear;
