@@ -1,6 +1,5 @@
 #pragma once
 
-#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <span>
@@ -9,7 +8,7 @@
 #include "server/core/cut/conforming/bridge_finder.hpp"
 #include "server/core/cut/conforming/bridge_suspects.hpp"
 #include "server/core/cut/conforming/cut_context.hpp"
-#include "server/core/cut/conforming/hole_finder.hpp"
+#include "server/core/cut/conforming/gap_finder.hpp"
 #include "server/core/cut/conforming/mesh_editor.hpp"
 #include "server/core/cut/conforming/neck.hpp"
 #include "server/core/cut/conforming/parts.hpp"
@@ -35,7 +34,7 @@ class ClosingStage {
         neck_(cut, grid_),
         suspects_(cut),
         bridges_(cut, grid_),
-        holes_(cut) {}
+        finder_(cut) {}
 
   void clear() {
     waiting_.clear();
@@ -70,25 +69,7 @@ class ClosingStage {
     kFindBridges
   };
   using Part = Parts::Part;
-  // kRib: between a sweep and the boundary, both sides are on one side of the sweep. kNeck: it is farther off, or less is known of it.
-  enum class Kind { kAcross, kRib, kNeck };
-  // A face that may hold two parts together. Those that would put most tissue on the wrong side are judged first, and of those on the surface the largest: what
-  // need not open stays closed, and the others are judged with it.
-  struct Gap {
-    double off_m;
-    HalfFace face;
-    bool meets;  // an older cut
-    // Judged before, or left by an older cut: then a film is told by its mean thickness alone.
-    bool by_thickness;
-    Kind kind;
-    double area_m2 = 0;  // twice
-    bool operator<(const Gap& other) const {
-      const double wrong_m3 = off_m * area_m2, other_wrong_m3 = other.off_m * other.area_m2;
-      if (wrong_m3 != other_wrong_m3) return wrong_m3 > other_wrong_m3;
-      return area_m2 != other.area_m2 ? area_m2 > other.area_m2 : face < other.face;
-    }
-  };
-
+  using Kind = Gap::Kind;
   // A face near the blade. While this has travelled less in the stroke, its sides may hang together before the blade.
   struct Waiting {
     HalfFace face;
@@ -128,13 +109,6 @@ class ClosingStage {
     marks.waiting = static_cast<std::uint8_t>(waits ? marks.waiting | bit : marks.waiting & ~bit);
   }
   bool all_at_boundary(HalfFace h) const;
-  bool may_close(Gap& gap);
-  bool may_be_neck(Gap& gap);
-  double off_surface_m(VertexId v);
-  bool lies_away(VertexId v);
-  bool is_near(VertexId v, double& off_m);
-  bool is_near(const Vec3& p, double& off_m);
-  bool is_at_end(const Vec3& p);
   static bool is_part(Part part) { return part == Part::kSmall || part == Part::kLarge; }
   void hold(const Gap& gap);
   void keep_closed(const Gap& gap);
@@ -168,23 +142,13 @@ class ClosingStage {
   std::vector<HalfFace> faces_;  // to open
   std::vector<Gap> doubtful_;    // between two large parts, when the stroke ends
   TetPass pass_;                 // whose faces have been considered
-  std::uint32_t nearest_ = 0;    // the surface's triangle that is_near() has found
-  // How far vertices are off the surface; INFINITY: too far. Some faces share one, and none is moved in this stage. Vertices share places.
-  struct Off {
-    std::uint32_t serial = 0;  // of the batch
-    VertexId vertex = kNone;
-    double off_m = 0;
-  };
-  static constexpr std::size_t kOffs = 256;
-  std::array<Off, kOffs> near_, far_;  // that is_near() and off_surface_m() have found
-  std::uint32_t offs_serial_ = 0;
   Parts parts_;
   TwoSides sides_;
   TissueGrid grid_;
   Neck neck_;
   BridgeSuspects suspects_;
   BridgeFinder bridges_;
-  HoleFinder holes_;
+  GapFinder finder_;
   std::size_t asked_ = 0;  // how many faces Neck was asked about in this batch
   // The largest tetrahedron of a part that is apart, as Neck says, and how many that part has.
   TetId apart_ = kNone;
