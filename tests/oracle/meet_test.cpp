@@ -578,7 +578,8 @@ TEST_P(Meet, GoesOnAfterBladesThatCutAtOnceWereSavedHalfway) {
   for (const auto& stroke : meeting.strokes) most = std::max(most, stroke.size());
   for (std::size_t i = 0; i <= most; ++i) {
     for (core::CutSession* session : {&whole, broken.get()}) {
-      for (std::uint32_t blade = 0; blade < meeting.strokes.size(); ++blade) {
+      // The blade with the highest number is there first: a session that is restored has them in another order.
+      for (auto blade = static_cast<std::uint32_t>(meeting.strokes.size()); blade-- > 0;) {
         i < meeting.strokes[blade].size() ? void(session->push(blade, meeting.strokes[blade][i]))
                                           : session->end_stroke(blade);
         drain(*session);

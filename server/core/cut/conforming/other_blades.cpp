@@ -10,55 +10,59 @@ using namespace tolerance;
 
 OtherBlades::OtherBlades(CutContext& cut, CutWorkspace& workspace) : cut_(cut), blades_(workspace.blades) {
   blades_.push_back(&cut);
+  // A frame allocates nothing, as a rule.
+  offered_.reserve(kMostBridges);
+  left_.reserve(kMostBridges);
 }
 
-// Calls visit(context) for each busy one until it returns true; returns whether one did.
+// Each busy one.
 template <class Visit>
-bool OtherBlades::any(Visit visit) const {
+void OtherBlades::for_each(Visit visit) const {
   for (CutContext* blade : blades_) {
-    if (blade != &cut_ && blade->others.is_busy_ && visit(*blade)) return true;
+    if (blade != &cut_ && blade->others.is_busy_) visit(*blade);
   }
-  return false;
 }
 
+// Of several the one whose stroke began first: a session that goes on from a checkpoint may have them in another order.
 CutContext* OtherBlades::near(const Vec3& p) const {
-  CutContext* found = nullptr;
-  any([&](CutContext& other) {
+  CutContext* first = nullptr;
+  for_each([&](CutContext& other) {
+    if (first != nullptr && first->stroke < other.stroke) return;
     cut_.work += cost::kNearby;
-    if (other.surface().is_within(p, kLeftToOthers_h * cut_.h)) found = &other;
-    return found != nullptr;
+    if (other.surface().is_within(p, kLeftToOthers_h * cut_.h)) first = &other;
   });
-  return found;
+  return first;
 }
 
 void OtherBlades::offer_to_all(TetId t) const {
-  any([&](CutContext& other) {
+  for_each([&](CutContext& other) {
     const auto& v = cut_.mesh.vertices(t);
     const FourPoints p({cut_.mesh.position(v[0]), cut_.mesh.position(v[1]), cut_.mesh.position(v[2]),
                         cut_.mesh.position(v[3])});
     cut_.work += cost::kFindCrossing;
     if (other.surface().any_between(p, kOnSurface_h * cut_.h, [](std::uint32_t) { return true; }))
       other.others.offered_.push_back(t);
-    return false;
   });
 }
 
 bool OtherBlades::leave(HalfFace face) const {
   CutContext* other = near(cut_.mesh.face_middle(face));
   if (other == nullptr) return false;
-  other->others.left_.push_back(face);
+  // One that stands still does not look at them.
+  std::vector<HalfFace>& left = other->others.left_;
+  if (left.size() == kMostBridges) left.erase(left.begin(), left.begin() + kMostBridges / 4);
+  left.push_back(face);
   return true;
 }
 
 // What this batch has offered may be there more than once, or gone.
 void OtherBlades::end_batch(bool is_busy) {
   is_busy_ = is_busy;
-  any([this](CutContext& other) {
+  for_each([this](CutContext& other) {
     std::vector<TetId>& offered = other.others.offered_;
     std::erase_if(offered, [this](TetId t) { return !cut_.mesh.alive(t); });
     std::ranges::sort(offered);
     offered.erase(std::unique(offered.begin(), offered.end()), offered.end());
-    return false;
   });
 }
 

@@ -45,7 +45,7 @@ class OtherBlades {
 
  private:
   template <class Visit>
-  bool any(Visit visit) const;
+  void for_each(Visit visit) const;
   CutContext* near(const Vec3& p) const;
   void offer_to_all(TetId t) const;
 
