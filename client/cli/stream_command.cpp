@@ -45,8 +45,9 @@ std::vector<PoseSample> engaged(const protocol::Motion& motion, int engage_butto
 
 // What has been cut, as far as it has come here.
 struct Seen {
-  std::atomic<std::uint64_t> last_cut{0};  // revision of the last batch
-  std::atomic<bool> faces{false};          // that some face opened
+  std::atomic<std::uint32_t> source{UINT32_MAX};  // the number of this blade, once it is known
+  std::atomic<std::uint64_t> last_cut{0};         // revision of its last batch
+  std::atomic<bool> faces{false};                 // that some face opened
 };
 
 class Player {
@@ -124,28 +125,28 @@ class Player {
   }
 
   // Until the server has counted every pose, and cut what they called for. As long as it takes, while it goes
-  // on.
+  // on. Other blades may have it busy all the while.
   bool wait_until_settled() {
     protocol::PoseReport last = client_.report();
     std::uint64_t last_cut = seen_.last_cut;
-    auto progress = steady_clock::now();
+    auto progress = steady_clock::now(), own_progress = progress;
     while (connected()) {
       std::this_thread::sleep_for(10 * kStep);
       const protocol::PoseReport report = client_.report();
       const std::uint64_t cut = seen_.last_cut;  // a body that a simulation deforms always has news
+      const auto now = steady_clock::now();
       if (report.through_sequence != last.through_sequence || report.accepted != last.accepted ||
-          report.backlog_segments != last.backlog_segments || cut != last_cut) {
-        progress = steady_clock::now();
-      }
+          cut != last_cut)
+        own_progress = now;
+      if (own_progress == now || report.backlog_segments != last.backlog_segments) progress = now;
       last = report;
       last_cut = cut;
-      const auto quiet = steady_clock::now() - progress;
       // The last batch is reported before its delta is here: a moment without news says that it is.
       if (report.through_sequence >= last_sequence_ && report.backlog_segments == 0 &&
-          quiet > std::chrono::milliseconds(300)) {
+          now - own_progress > std::chrono::milliseconds(300)) {
         return true;
       }
-      if (quiet > std::chrono::duration<double>(kPatience_s)) return false;
+      if (now - progress > std::chrono::duration<double>(kPatience_s)) return false;
     }
     return false;
   }
@@ -277,11 +278,12 @@ int run_stream(const StreamCommand& command, protocol::Motion motion) {
   callbacks.on_surface_delta = [&](const protocol::SurfaceReplica&, const protocol::SurfaceDelta& delta,
                                    const Arrival&) {
     for (const protocol::Step& step : delta.steps) {
-      if (step.stroke != 0) seen.last_cut = step.revision;
+      if (step.stroke != 0 && step.source == seen.source) seen.last_cut = step.revision;
       if (step.cut_area_m2 > 0) seen.faces = true;
     }
   };
   const auto client = connect_operator(where, options, std::move(callbacks));
+  seen.source = client->welcome().source;
   return Player(command, *client, std::move(motion), seen).run();
 }
 

@@ -115,8 +115,9 @@ class Watcher {
     save();
     client_->close();
     if (gone_since_ && !interrupted()) {
-      std::fprintf(stderr, "incise: %s did not come back within %g s: %s\n", command_.server.address.c_str(),
-                   command_.give_up_after_s, client_->last_error().c_str());
+      const std::chrono::duration<double> gone = steady_clock::now() - *gone_since_;
+      std::fprintf(stderr, "incise: %s did not come back within %.1f s: %s\n",
+                   command_.server.address.c_str(), gone.count(), client_->last_error().c_str());
       return 1;
     }
     if (command_.until_revision && !reached && !interrupted()) {
