@@ -22,8 +22,8 @@ struct CutWorkspace {
   struct VertexMarks {
     std::uint32_t surface = 0;  // the stroke on whose swept surface it was put ...
     std::uint32_t batch = 0;    // ... and the stroke's batch that did so
-    std::uint32_t also =
-        0;  // the same before that: where two blades meet, it may lie on the surfaces of both
+    // The same before that: where two blades meet, it may lie on the surfaces of both.
+    std::uint32_t also = 0;
     std::uint32_t also_batch = 0;
     std::uint32_t failed = 0;  // the stroke that could not deal with a crossing at it
     std::uint32_t rim = 0;     // the stroke on whose sweep's rim it was put
