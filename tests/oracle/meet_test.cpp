@@ -998,8 +998,14 @@ TEST(MeetingGaps, AreFoundBesideThoseThatWereHeld) {
 TEST(MeetingGaps, AreFoundWhereRepairsHaveMadeTetrahedra) {
   come_apart({{"wound_1476", "spiral", 396219}, {"armadillo_3717", "box", 396224}});
 }
-// All strokes come at once. One blade changed what another had met and not parted yet, of which that did not know, and asked about gaps, necks and bridges in tissue that
-// the other was about to part.
+// Of the faces that would part two parts one opened far off what was swept, where a smaller one would have done.
+TEST(MeetingGaps, OpenWhereLeastIsOnTheWrongSide) {
+  come_apart(
+      {{"seed_3234", "lasso", 392001}, {"wound_1476", "box", 392013}, {"armadillo_3717", "lasso", 392011}});
+}
+
+// All strokes come at once. A blade changed tetrahedra that another one had met and not parted yet, without telling it, and judged gaps, necks and bridges in tissue
+// that the other one was about to part.
 TEST(MeetingBlades, PartWhatTheyCutTogether) {
   come_apart({{"wound_1476", "nested", 396601},
               {"wound_1476", "grid", 396601},
@@ -1021,11 +1027,6 @@ TEST(MeetingBlades, PartWhatTheyCutTogether) {
              true);
 }
 
-// Of the faces that would part two parts one opened far off what was swept, where a smaller one would have done.
-TEST(MeetingGaps, OpenWhereLeastIsOnTheWrongSide) {
-  come_apart(
-      {{"seed_3234", "lasso", 392001}, {"wound_1476", "box", 392013}, {"armadillo_3717", "lasso", 392011}});
-}
 // A repair had taken a vertex past the front, over its own sweep: its edges crossed that now, in tetrahedra that had not been met. They held 182 h^3.
 TEST(MeetingRepairs, DoNotTakeEdgesThroughTheSweepUnseen) {
   come_apart({{"liver_6564", "starts_in", 396300}});

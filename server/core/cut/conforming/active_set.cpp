@@ -25,15 +25,13 @@ void ActiveSet::take_offered() {
 // The batch in which something was swept that t has to be parted by: where an edge crosses that, or a face lies on it. kNone: there is none.
 std::uint32_t ActiveSet::batch_that_meets(TetId t) const {
   const auto& v = cut_.mesh.vertices(t);
-  std::uint32_t triangle = 0;
-  double at = 0;
   for (const auto& [i, j] : kEdgeVertices) {
-    if (cut_.find_crossing(cut_.mesh.position(v[i]), cut_.on_surface(v[i]), cut_.mesh.position(v[j]),
-                           cut_.on_surface(v[j]), triangle, at))
-      return cut_.surface()[triangle].batch;
+    const std::uint32_t batch = cut_.batch_across(v[i], v[j]);
+    if (batch != kNone) return batch;
   }
   if (std::ranges::count_if(v, [this](VertexId w) { return cut_.on_surface(w); }) < 3) return kNone;
   Vec3 closest;
+  std::uint32_t triangle = 0;
   return cut_.closest_on_surface(cut_.mesh.barycentre(t), closest, triangle) ? cut_.surface()[triangle].batch
                                                                              : kNone;
 }

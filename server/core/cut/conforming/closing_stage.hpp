@@ -138,7 +138,7 @@ class ClosingStage {
   // by some of these with the other.
   std::vector<Gap> rest_;
   bool hangs_between_ = false;
-  std::vector<HeldFace> left_;   // for a stroke that comes upon a cut
+  std::vector<HeldFace> left_;   // for a stroke that comes upon a cut, or for another blade
   std::vector<HalfFace> faces_;  // to open
   std::vector<Gap> doubtful_;    // between two large parts, when the stroke ends
   TetPass pass_;                 // whose faces have been considered

@@ -51,6 +51,14 @@ bool CutContext::find_crossing(const Vec3& a, bool a_on, const Vec3& b, bool b_o
   });
 }
 
+std::uint32_t CutContext::batch_across(VertexId a, VertexId b) const {
+  std::uint32_t triangle = 0;
+  double t = 0;
+  return find_crossing(mesh.position(a), on_surface(a), mesh.position(b), on_surface(b), triangle, t)
+             ? surface()[triangle].batch
+             : kNone;
+}
+
 double CutContext::worst_after_split(TetId tet, VertexId a, VertexId b, double t, double limit) const {
   mesh.ring(tet, a, b, ring_);
   work += cost::kTrySplit * static_cast<std::int64_t>(ring_.size());

@@ -104,6 +104,8 @@ struct CutContext {
   // surface, which is then no crossing.
   bool find_crossing(const Vec3& a, bool a_on, const Vec3& b, bool b_on, std::uint32_t& triangle,
                      double& t) const;
+  // The batch that swept there; kNone: the surface does not cross the edge (a, b).
+  std::uint32_t batch_across(VertexId a, VertexId b) const;
   // The worst of the tetrahedra that splitting the edge (a, b) of `tet` makes; stops beyond `limit`.
   double worst_after_split(TetId tet, VertexId a, VertexId b, double t, double limit) const;
 

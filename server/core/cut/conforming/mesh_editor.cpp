@@ -24,11 +24,7 @@ void MeshEditor::take_what_is_crossed(const VertexStar& star, VertexId v) {
   const auto batch_across = [&](VertexId w) {
     const auto known = std::ranges::find(crossed_, w, &std::pair<VertexId, std::uint32_t>::first);
     if (known != crossed_.end()) return known->second;
-    std::uint32_t triangle = 0;
-    double at = 0;
-    const bool crosses =
-        cut_.find_crossing(mesh_.position(v), false, mesh_.position(w), cut_.on_surface(w), triangle, at);
-    crossed_.emplace_back(w, crosses ? cut_.surface()[triangle].batch : kNone);
+    crossed_.emplace_back(w, cut_.batch_across(v, w));
     return crossed_.back().second;
   };
   for (const VertexStar::Corner& c : star.corners()) {
@@ -112,14 +108,12 @@ VertexId MeshEditor::split(TetId tet, VertexId a, VertexId b, double t, NewVerte
   for (TetId r : ring_) {
     look_again(r);
     active_.add(r);
-    cut_.others.offer(r);
+    note_made(r);
   }
-  made_.insert(made_.end(), ring_.begin(), ring_.end());
   for (TetId n = first; n < mesh_.tet_slots(); ++n) {
     enter(n);
     active_.add(n);
-    made_.push_back(n);
-    cut_.others.offer(n);
+    note_made(n);
   }
   ++cut_.counts.splits;
   return m;
@@ -154,8 +148,7 @@ void MeshEditor::collapse(const VertexStar& star, TetId t, VertexId v, VertexId 
     if (!mesh_.alive(c.tet)) continue;
     look_again(c.tet);
     active_.add(c.tet);
-    made_.push_back(c.tet);
-    cut_.others.offer(c.tet);
+    note_made(c.tet);
     enter(c.tet);
     may_move_again(mesh_.vertices(c.tet));
   }
@@ -171,8 +164,7 @@ std::span<const TetId> MeshEditor::replace(std::span<const TetId> removed,
   for (TetId t : new_tets_) {
     enter(t);
     active_.add(t);
-    made_.push_back(t);
-    cut_.others.offer(t);
+    note_made(t);
     may_move_again(mesh_.vertices(t));
   }
   ++cut_.counts.repairs;

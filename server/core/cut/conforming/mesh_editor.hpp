@@ -103,6 +103,11 @@ class MeshEditor {
   void may_move_again(std::span<const VertexId> vertices) {
     for (VertexId v : vertices) cut_.workspace.vertices[v].tried = 0;
   }
+  // It is new, or has got another vertex.
+  void note_made(TetId t) {
+    made_.push_back(t);
+    cut_.others.offer(t);
+  }
   void judge_again(const VertexStar& star, VertexId v);
   void take_what_is_crossed(const VertexStar& star, VertexId v);
   void move_to(const VertexStar& star, VertexId v, const Vec3& target);
