@@ -108,8 +108,12 @@ class Judge {
     const IsNear is_near = [this](const Vec3& p, double reach, std::uint32_t stroke, double travel) {
       return body_.boundary.is_within(p, reach) || has_other(p, reach, stroke, travel);
     };
-    for (const Triangle& t : rim_fins(strokes, 0.125 * h_, kClosed_h * h_, low, high, false, is_near))
+    for (const Triangle& t : rim_fins(strokes, 0.125 * h_, kClosed_h * h_, low, high, false, is_near)) {
       block(closed_, t);
+      const auto& c = t.corners;
+      fins_.add_quad({c[0], c[1]}, {c[0], c[2]}, 1, 1, 0, false);
+    }
+    fins_.build();
     for (const Triangle& t : rim_fins(strokes, 0.125 * h_, kMayClose_h * h_, low, high, true, is_near))
       block(may_close_, t);
   }
@@ -331,8 +335,10 @@ class Judge {
       std::uint32_t triangle = 0;
       const bool found = tree_.closest(p, 4 * h_, closest, triangle);
       const double off = found ? core::distance(p, closest) / h_ : 4.0;
-      const bool alone_here = found && !has_other(p, kAlone_h * h_, surface_[tree_[triangle].batch].stroke,
-                                                  surface_[tree_[triangle].batch].travel);
+      // What closes a gap is off all that was swept: there the sweep merges with a cut, or with the boundary.
+      const bool alone_here = found && !fins_.is_within(p, off * h_) &&
+                              !has_other(p, kAlone_h * h_, surface_[tree_[triangle].batch].stroke,
+                                         surface_[tree_[triangle].batch].travel);
       if (alone_here) {
         sum += off;
         ++alone;
@@ -380,6 +386,7 @@ class Judge {
   const double h_;
   std::vector<SweptPart> surface_;
   core::SweptSurface tree_;  // of it; a triangle's batch says which one it is
+  core::SweptSurface fins_;  // that close gaps
   Walls closed_, may_close_;
   std::vector<float> off2_;  // by point: from the nearest surface, squared, where it is near
   std::vector<std::uint32_t> labels_, piece_tets_, piece_at_;

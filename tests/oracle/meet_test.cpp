@@ -361,7 +361,8 @@ TEST_P(Meet, InABodyThatTheHandFollows) {
       EXPECT_TRUE(v.right()) << meeting.name() << ": " << to_string(v);
       if (!moves) at_rest = v;
       EXPECT_EQ(v.pieces, at_rest.pieces) << meeting.name();
-      EXPECT_LE(v.alone_max_h, at_rest.alone_max_h + 0.15) << meeting.name();
+      // What the judge takes for a gap that is closed lies elsewhere in a body that has moved.
+      EXPECT_LE(v.alone_max_h, std::max(at_rest.alone_max_h, at_rest.merged_max_h) + 0.15) << meeting.name();
       EXPECT_LE(v.growth, at_rest.growth + 0.4) << meeting.name();
       EXPECT_GE(v.min_angle_deg, std::min(3.0, at_rest.min_angle_deg)) << meeting.name();
     }
@@ -1027,6 +1028,12 @@ TEST(MeetingBlades, PartWhatTheyCutTogether) {
              true);
 }
 
+// One row of the helix crossed an edge beside its end, which lies on another row, and the next one crossed it amid: that was taken for met, too, and failed. Faces
+// opened there as far off as their vertices were, and others stayed: 71 h^3 hung by two of them.
+TEST(MeetingCrossings, AreDealtWithBesideOthersOfTheSameEdge) {
+  come_apart({{"wound_1476", "helix", 396219}, {"wound_1476", "helix", 392013}});
+}
+
 // A repair had taken a vertex past the front, over its own sweep: its edges crossed that now, in tetrahedra that had not been met. They held 182 h^3.
 TEST(MeetingRepairs, DoNotTakeEdgesThroughTheSweepUnseen) {
   come_apart({{"liver_6564", "starts_in", 396300}});
@@ -1178,6 +1185,11 @@ TEST_F(MeetingHands, FollowBendsWhereTheSweepIsAlone) {
   cut_and_judge("liver_6564", "tum_fr1_xyz", {3308}, 4, 0.17);  // there a heel's way is led on to the skin
   cut_and_judge("bullet_ditto.vtk", "geomagic_liver", {3306}, 4, 0.1);
   cut_and_judge("seed_1720", "dvrk_psm2", {3308}, 4, 0.1);
+}
+
+// A hand that goes to and fro crosses an edge with several parts of its sweep: 0.36 h.
+TEST_F(MeetingHands, LeaveNoCrossingForTheFirstOneOfItsEdge) {
+  cut_and_judge("seed_1720", "dvrk_psm2", {3612}, 4, 0.11);
 }
 
 // To better a poor element, the end of an older slit was moved along the skin: 1.3 h beyond where the blade had been.

@@ -112,10 +112,16 @@ bool CrossingStage::still_crosses(Crossing& crossing) {
     if (crossing.tet == kNone) return false;
   }
   if (round_ == 0 && crossing.batch == cut_.batch) return true;
-  if (!cut_.find_crossing(mesh_.position(a), a_on, mesh_.position(b), b_on, crossing.triangle, crossing.at))
-    return false;
-  const double length_m = distance(mesh_.position(a), mesh_.position(b));
-  return !cut_.meets_end(a, crossing.at, length_m) && !cut_.meets_end(b, 1 - crossing.at, length_m);
+  const Vec3 &p = mesh_.position(a), &q = mesh_.position(b);
+  const double length_m = distance(p, q);
+  cut_.work += cost::kFindCrossing;
+  // Where a hand goes to and fro, one part of the surface may cross it at an end, and another one amid.
+  return cut_.any_crossing(p, a_on, q, b_on, [&](std::uint32_t i, double at) {
+    if (cut_.meets_end(a, at, length_m) || cut_.meets_end(b, 1 - at, length_m)) return false;
+    crossing.triangle = i;
+    crossing.at = at;
+    return true;
+  });
 }
 
 // Snaps an end of the edge whose star is good then.

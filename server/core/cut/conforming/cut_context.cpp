@@ -38,13 +38,7 @@ double CutContext::worst_at(const VertexStar& star, const Vec3& p, double limit,
 bool CutContext::find_crossing(const Vec3& a, bool a_on, const Vec3& b, bool b_on, std::uint32_t& triangle,
                                double& t) const {
   work += cost::kFindCrossing;
-  return surface().any_between(Points<2>({a, b}), clear_m, [&](std::uint32_t i) {
-    const SweptTriangle& s = surface()[i];
-    const double da = s.signed_distance(a), db = s.signed_distance(b);
-    // An end on the surface is where the edge meets it.
-    if ((a_on && std::abs(da) <= clear_m) || (b_on && std::abs(db) <= clear_m)) return false;
-    double at;
-    if (!crosses(a, b, da, db, s, clear_m, at)) return false;
+  return any_crossing(a, a_on, b, b_on, [&](std::uint32_t i, double at) {
     triangle = i;
     t = at;
     return true;

@@ -100,8 +100,19 @@ struct CutContext {
   // removed must be part of it.
   double worst_at(const VertexStar& star, const Vec3& p, double limit, double thickness_m,
                   std::vector<TetId>& flat) const;
-  // Where the surface crosses the segment a b: the triangle, and the place at a + t (b - a). `a_on`, `b_on`: an end lies on the
-  // surface, which is then no crossing.
+  // Calls visit(triangle, t) where the surface crosses the segment a b, at a + t (b - a), until it returns true; returns whether
+  // it did. `a_on`, `b_on`: an end lies on the surface, which is then no crossing.
+  template <class Visit>
+  bool any_crossing(const Vec3& a, bool a_on, const Vec3& b, bool b_on, Visit visit) const {
+    return surface().any_between(Points<2>({a, b}), clear_m, [&](std::uint32_t i) {
+      const SweptTriangle& s = surface()[i];
+      const double da = s.signed_distance(a), db = s.signed_distance(b);
+      if ((a_on && std::abs(da) <= clear_m) || (b_on && std::abs(db) <= clear_m)) return false;
+      double t;
+      return crosses(a, b, da, db, s, clear_m, t) && visit(i, t);
+    });
+  }
+  // The first of these.
   bool find_crossing(const Vec3& a, bool a_on, const Vec3& b, bool b_on, std::uint32_t& triangle,
                      double& t) const;
   // The batch that swept there; kNone: the surface does not cross the edge (a, b).

@@ -235,7 +235,7 @@ inline constexpr std::size_t kMaxEdgeRing = 7;
 // ---- Verification.
 
 // How often crossings that snaps and repairs have made are dealt with; those after the last time fail.
-inline constexpr int kMaxRounds = 3;
+inline constexpr int kMaxRounds = 5;
 
 // ---- Opening (opening_stage.cpp, islands.cpp).
 

@@ -69,29 +69,14 @@ bool VerifyStage::collect_from(TetId t) {
 bool VerifyStage::collect_from(TetId t, VertexId a, VertexId b) {
   cut_.work += cost::kVerifyEdge;
   bool clear = true;
-  const double clear_m = cut_.clear_m;
   const bool a_on = cut_.on_surface(a), b_on = cut_.on_surface(b);
   const Vec3 &p = mesh_.position(a), &q = mesh_.position(b);
-  cut_.surface().any_between(Points<2>({p, q}), clear_m, [&](std::uint32_t index) {
-    const SweptTriangle& triangle = cut_.surface()[index];
-    const double da = triangle.signed_distance(p), db = triangle.signed_distance(q);
-    // An end on the surface is where the edge meets it.
-    if ((a_on && std::abs(da) <= clear_m) || (b_on && std::abs(db) <= clear_m)) return false;
-    double at;
-    if (!crosses(p, q, da, db, triangle, clear_m, at)) return false;
+  const double length_m = distance(p, q);
+  cut_.any_crossing(p, a_on, q, b_on, [&](std::uint32_t index, double at) {
     clear = false;
-    const double length_m = distance(p, q);
-    if (!cut_.meets_end(a, at, length_m) && !cut_.meets_end(b, 1 - at, length_m)) {
+    // Where it crosses by an end that lies on another part of the surface, that is as near as can be had.
+    if (!cut_.meets_end(a, at, length_m) && !cut_.meets_end(b, 1 - at, length_m))
       crossings_.add(a, b, t, index, at);
-      return false;
-    }
-    // What stands for the surface deals with it.
-    if (cut_.stands(a) || cut_.stands(b)) return false;
-    // So near to it that it is on this part, too.
-    if ((a_on ? std::abs(da) : std::abs(db)) <= kLiesAtCut_h * cut_.h) return false;
-    // A vertex on another part of the surface is as near as can be had.
-    editor_.fail(a);
-    editor_.fail(b);
     return false;
   });
   return clear;
