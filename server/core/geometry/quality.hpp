@@ -1,5 +1,7 @@
 #pragma once
 
+#include <cstddef>
+
 #include "server/core/geometry/vec3.hpp"
 
 namespace incise::core {
@@ -16,6 +18,37 @@ double worst_dihedral(const Vec3& a, const Vec3& b, const Vec3& c, const Vec3& d
 
 // Larger than any cos |cos|.
 inline constexpr double kInverted = 2.0;
+
+// The worst measure of many tetrahedra: they are looked at four at a time.
+class WorstDihedral {
+ public:
+  void begin() {
+    worst_ = -kInverted;
+    waiting_ = 0;
+  }
+  void add(const Vec3& a, const Vec3& b, const Vec3& c, const Vec3& d) {
+    put(0, a);
+    put(1, b);
+    put(2, c);
+    put(3, d);
+    if (++waiting_ == 4) look();
+  }
+  // Of all since begin(); -kInverted: there was none.
+  double worst();
+
+ private:
+  void put(std::size_t corner, const Vec3& p) {
+    double(&rows)[3][4] = corners_[corner];
+    rows[0][waiting_] = p.x;
+    rows[1][waiting_] = p.y;
+    rows[2][waiting_] = p.z;
+  }
+  void look();
+
+  double worst_ = 0;
+  std::size_t waiting_ = 0;
+  alignas(32) double corners_[4][3][4] = {};  // of those that wait: the coordinates of each corner
+};
 
 // The measure that worst_dihedral() has at an angle whose cosine is given.
 inline constexpr double dihedral_measure(double cosine) {

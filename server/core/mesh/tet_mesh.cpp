@@ -11,8 +11,11 @@ namespace incise::core {
 
 namespace {
 
-// The faces that have vertex i, ascending.
-constexpr std::uint32_t kFacesAt[4][3] = {{1, 2, 3}, {0, 2, 3}, {0, 1, 3}, {0, 1, 2}};
+// By vertex i and face e: the faces that have the vertex, ascending, without e. Where e is i, which does not have it, there are three.
+constexpr std::uint8_t kFacesOn[4][4][3] = {{{1, 2, 3}, {2, 3}, {1, 3}, {1, 2}},
+                                            {{2, 3}, {0, 2, 3}, {0, 3}, {0, 2}},
+                                            {{1, 3}, {0, 3}, {0, 1, 3}, {0, 1}},
+                                            {{1, 2}, {0, 2}, {0, 1}, {0, 1, 2}}};
 
 }  // namespace
 
@@ -20,29 +23,33 @@ constexpr std::uint32_t kFacesAt[4][3] = {{1, 2, 3}, {0, 2, 3}, {0, 1, 3}, {0, 1
 // found before it are looked at: in a large mesh waiting for memory is most of this.
 void TetMesh::component(VertexId v, TetId from, std::uint32_t mark, std::vector<Corner>& corners) const {
   std::size_t count = 0, room = component_scratch_.size();
-  Corner* found = component_scratch_.data();
+  // Until its turn each is there by the face through which it was found, behind which there is nothing new.
+  HalfFace* found = component_scratch_.data();
   const Tet* const tets = tets_.data();
   std::uint32_t* const marks = tet_marks_.data();
+  const auto look_beyond = [&](HalfFace opposite) {
+    if (opposite == kNone || marks[tet_of(opposite)] == mark) return;
+    marks[tet_of(opposite)] = mark;
+    __builtin_prefetch(&tets[tet_of(opposite)]);
+    found[count++] = opposite;
+  };
   marks[from] = mark;
-  found[count++] = from;
-  for (std::size_t next = 0; next < count; ++next) {
-    if (count + 3 > room) {
+  const auto first = static_cast<unsigned>(std::countr_zero(which_are(tets[from].vertices, v)));
+  found[count++] = 4 * from + first;
+  for (const std::uint8_t f : kFacesOn[first][first]) look_beyond(tets[from].opposite[f]);
+  for (std::size_t next = 1; next < count; ++next) {
+    if (count + 2 > room) {
       component_scratch_.resize(2 * room);
       room = component_scratch_.size();
       found = component_scratch_.data();
     }
-    const TetId t = found[next];
-    const Tet& tet = tets[t];
+    const HalfFace entered = found[next];
+    const Tet& tet = tets[tet_of(entered)];
     const auto i = static_cast<unsigned>(std::countr_zero(which_are(tet.vertices, v)));
-    found[next] = 4 * t + i;
-    for (const std::uint32_t f : kFacesAt[i]) {
-      if (tet.opposite[f] == kNone) continue;
-      const TetId beyond = tet_of(tet.opposite[f]);
-      if (marks[beyond] == mark) continue;
-      marks[beyond] = mark;
-      __builtin_prefetch(&tets[beyond]);
-      found[count++] = beyond;
-    }
+    found[next] = (entered & ~3u) + i;
+    const auto& faces = kFacesOn[i][face_of(entered)];
+    look_beyond(tet.opposite[faces[0]]);
+    look_beyond(tet.opposite[faces[1]]);
   }
   corners.insert(corners.end(), found, found + count);
 }

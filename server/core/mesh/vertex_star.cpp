@@ -4,34 +4,13 @@
 #include <cmath>
 #include <cstring>
 
+#include "server/core/geometry/dihedral_lanes.hpp"
+
 namespace incise::core {
 
-// Vectors are passed between functions that are always inlined, so that no calling convention matters.
-#pragma GCC diagnostic ignored "-Wpsabi"
-
-// worst_dihedral() of four tetrahedra at once. The same operations on each lane as for one, so the same bits, whatever
-// the width of the machine's registers.
-struct LaneKernels {
+struct LaneKernels : DihedralLanes {
   using Lanes = VertexStar::Lanes;
-  using V = double __attribute__((vector_size(32)));
-  struct V3 {
-    V x, y, z;
-  };
 
-  [[gnu::always_inline]] static inline V3 minus(const V3& a, const V3& b) {
-    return {a.x - b.x, a.y - b.y, a.z - b.z};
-  }
-  [[gnu::always_inline]] static inline V3 times(const V3& a, const V3& b) {
-    return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
-  }
-  [[gnu::always_inline]] static inline V dot(const V3& a, const V3& b) {
-    return a.x * b.x + a.y * b.y + a.z * b.z;
-  }
-  [[gnu::always_inline]] static inline V larger(const V& a, const V& b) { return a < b ? b : a; }
-  [[gnu::always_inline]] static inline V measure(const V3& m, const V3& n, const V& qm, const V& qn) {
-    const V cosine = -dot(m, n);
-    return cosine * (cosine < 0 ? -cosine : cosine) / (qm * qn);
-  }
   [[gnu::always_inline]] static inline V3 row(const Lanes& lanes, int k) {
     V3 out;
     std::memcpy(&out.x, lanes.p[3 * k], sizeof out.x);
@@ -50,24 +29,14 @@ struct LaneKernels {
     double worst = -1;
     for (std::size_t k = 0; k < count; ++k) {
       const std::size_t i = k == 0 ? first : k <= first ? k - 1 : k;
-      const V3 u = minus(row(lanes[i], 0), a), v = minus(row(lanes[i], 1), a), w = minus(row(lanes[i], 2), a);
-      const V3 nd = times(v, u), nc = times(u, w), nb = times(w, v);
-      const V3 na{-(nd.x + nc.x + nb.x), -(nd.y + nc.y + nb.y), -(nd.z + nc.z + nb.z)};
-      const V qa = dot(na, na), qb = dot(nb, nb), qc = dot(nc, nc), qd = dot(nd, nd);
-      V m = larger(measure(na, nb, qa, qb), measure(na, nc, qa, qc));
-      m = larger(m, measure(na, nd, qa, qd));
-      m = larger(m, measure(nb, nc, qb, qc));
-      m = larger(m, measure(nb, nd, qb, qd));
-      m = larger(m, measure(nc, nd, qc, qd));
-      const V inverted = zero + kInverted;
-      m = qa * qb * qc * qd > 0 ? m : inverted;
-      m = dot(nd, w) >= 0 ? inverted : m;
+      V m = DihedralLanes::worst(minus(row(lanes[i], 0), a), minus(row(lanes[i], 1), a),
+                                 minus(row(lanes[i], 2), a));
       if constexpr (kLeavesOut) {
         for (unsigned lane = 0; lane < 4; ++lane) {
           if (left_out[i] >> lane & 1) m[lane] = -1;
         }
       }
-      worst = std::max({worst, m[0], m[1], m[2], m[3]});
+      worst = std::max(worst, largest(m));
       if (worst > limit) {
         first = i;
         break;
@@ -106,8 +75,7 @@ const WorstOfLanes kWorstOfLanes = choose();
 
 }  // namespace
 
-// Finds its corners. Where their vertices are is read when all are known, for it is in no cache as a rule.
-void VertexStar::begin(const TetMesh& mesh, VertexId v) {
+void VertexStar::gather(const TetMesh& mesh, VertexId v) {
   mesh.star(v, corner_ids_);
   position_ = mesh.position(v);
   local_h_ = mesh.local_h(v);
@@ -118,20 +86,31 @@ void VertexStar::begin(const TetMesh& mesh, VertexId v) {
   worst_lanes_ = 0;
   corners_.resize(corner_ids_.size());
   lanes_.resize((corner_ids_.size() + 3) / 4);
-  // Only a vertex of the boundary has faces with nothing beyond them.
-  const bool has_walls = mesh.has_regions() || mesh.at_boundary(v);
   Corner* corner = corners_.data();
+  Lanes* const lanes = lanes_.data();
+  std::size_t n = 0;
   for (const std::uint32_t id : corner_ids_) {
     const auto& vertices = mesh.vertices(tet_of(id));
     const auto& others = kFaceVertices[index_of(id)];
+    double* const at = &lanes[n / 4].p[0][n % 4];
     corner->tet = tet_of(id);
     for (std::size_t k = 0; k < 3; ++k) {
       corner->others[k] = vertices[others[k]];
-      mesh.prefetch_position(corner->others[k]);
+      const Vec3& p = mesh.position(corner->others[k]);
+      at[12 * k] = p.x;
+      at[12 * k + 4] = p.y;
+      at[12 * k + 8] = p.z;
     }
-    if (has_walls && (mesh.has_regions() || mesh.on_boundary(corner->tet)))
-      add_walls(mesh, corner->tet, index_of(id));
     ++corner;
+    ++n;
+  }
+  for (; n % 4 != 0; ++n) {
+    for (auto& row : lanes[n / 4].p) row[n % 4] = row[n % 4 - 1];
+  }
+  // Only a vertex of the boundary has faces with nothing beyond them.
+  if (!mesh.has_regions() && !mesh.at_boundary(v)) return;
+  for (const std::uint32_t id : corner_ids_) {
+    if (mesh.has_regions() || mesh.on_boundary(tet_of(id))) add_walls(mesh, tet_of(id), index_of(id));
   }
 }
 
@@ -148,25 +127,6 @@ void VertexStar::add_walls(const TetMesh& mesh, TetId t, int i) {
     const Vec3 twice = cross(mesh.position(vertices[k[1]]) - a, mesh.position(vertices[k[2]]) - a);
     walls_.push_back({normalized(twice), length(twice), (mesh.cut_mask(t) >> f & 1) != 0});
     wall_area_ += 0.5 * twice;
-  }
-}
-
-// Where the vertices are.
-void VertexStar::finish(const TetMesh& mesh) {
-  if (corners_.empty()) return;
-  const Corner* corner = &corners_.front();
-  const Corner* const last = &corners_.back();
-  for (Lanes& lanes : lanes_) {
-    for (std::size_t lane = 0; lane < 4; ++lane) {
-      for (std::size_t k = 0; k < 3; ++k) {
-        const Vec3& p = mesh.position(corner->others[k]);
-        lanes.p[3 * k][lane] = p.x;
-        lanes.p[3 * k + 1][lane] = p.y;
-        lanes.p[3 * k + 2][lane] = p.z;
-      }
-      // What is left of the last lanes is filled up with copies of the last corner.
-      if (corner != last) ++corner;
-    }
   }
 }
 

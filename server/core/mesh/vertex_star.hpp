@@ -15,7 +15,6 @@ class VertexStar {
   struct Corner {
     TetId tet;
     std::array<VertexId, 3> others;  // (v, others) is positively oriented
-    bool may_flatten;                // all others lie on the swept surface
   };
   struct Wall {
     Vec3 normal;        // unit, outward
@@ -26,15 +25,13 @@ class VertexStar {
   // Reads the star of v. on_surface(vertex) says whether a vertex lies on the swept surface.
   template <class OnSurface>
   void gather(const TetMesh& mesh, VertexId v, OnSurface on_surface) {
-    begin(mesh, v);
+    gather(mesh, v);
     std::uint32_t i = 0;
-    for (Corner& corner : corners_) {
-      corner.may_flatten =
-          on_surface(corner.others[0]) && on_surface(corner.others[1]) && on_surface(corner.others[2]);
-      if (corner.may_flatten) flattenable_.push_back(i);
+    for (const Corner& corner : corners_) {
+      if (on_surface(corner.others[0]) && on_surface(corner.others[1]) && on_surface(corner.others[2]))
+        flattenable_.push_back(i);
       ++i;
     }
-    finish(mesh);
   }
 
   const std::vector<Corner>& corners() const { return corners_; }
@@ -72,9 +69,8 @@ class VertexStar {
   };
   friend struct LaneKernels;
 
-  void begin(const TetMesh& mesh, VertexId v);
+  void gather(const TetMesh& mesh, VertexId v);
   void add_walls(const TetMesh& mesh, TetId t, int i);
-  void finish(const TetMesh& mesh);
   void leave_out(std::size_t corner) const;
 
   Vec3 position_;
@@ -84,7 +80,7 @@ class VertexStar {
   std::vector<Lanes> lanes_;  // the last one is filled up with copies of the last corner
   // The lanes that decided the last rejection: they usually decide the next one.
   mutable std::size_t worst_lanes_ = 0;
-  std::vector<std::uint32_t> flattenable_;  // corners that may flatten
+  std::vector<std::uint32_t> flattenable_;  // corners whose others all lie on the swept surface
   mutable std::vector<std::uint8_t>
       flat_lanes_;  // scratch: bit k of the i-th: lane k of lanes_[i] would be flat
   std::vector<Wall> walls_;

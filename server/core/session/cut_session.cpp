@@ -343,7 +343,8 @@ CutSession::Progress CutSession::advance(WorkBudget& budget, Delta& delta,
   take_committed();
   committed_counts_ = cutter.counts();
   describe(made_);
-  made_.min_dihedral_deg = worst_ > -kInverted ? measure_to_degrees(worst_) : 180.0;
+  const double worst = worst_.worst();
+  made_.min_dihedral_deg = worst > -kInverted ? measure_to_degrees(worst) : 180.0;
   mover_.note_cut(made_);
   fields_.apply(made_);
   std::swap(made_, delta);
@@ -359,7 +360,7 @@ bool CutSession::finish(WorkBudget& budget) {
   if (stage_ == Stage::kCommitting) {
     if (!mesh_.commit(made_, budget)) return false;
     next_upserted_ = next_moved_ = 0;
-    worst_ = -kInverted;
+    worst_.begin();
     measured_.begin();
     stage_ = Stage::kMeasuring;
   }
@@ -370,7 +371,8 @@ bool CutSession::finish(WorkBudget& budget) {
 bool CutSession::measure(WorkBudget& budget) {
   const auto look_at = [this](TetId t) {
     if (!measured_.insert(t)) return;
-    worst_ = std::max(worst_, mesh_.worst_dihedral(t));
+    const auto& v = mesh_.vertices(t);
+    worst_.add(mesh_.position(v[0]), mesh_.position(v[1]), mesh_.position(v[2]), mesh_.position(v[3]));
   };
   for (; next_upserted_ < made_.upserted.size(); ++next_upserted_) {
     if (budget.spent()) return false;

@@ -144,7 +144,7 @@ class CutSession {
   Delta made_;                                      // while it is being made
   std::size_t next_upserted_ = 0, next_moved_ = 0;  // of what is measured
   TetPass measured_;
-  double worst_ = 0;
+  WorstDihedral worst_;
   VertexMover mover_;
   SweptFollower follower_;
   std::size_t deformations_ = 0;  // in the queue
