@@ -48,6 +48,7 @@ class HeldFaces {
   }
 
   void clear() {
+    if (faces_.empty()) return;
     faces_.clear();
     enter_all();
   }

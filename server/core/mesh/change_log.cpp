@@ -205,9 +205,9 @@ void ChangeLog::commit_tet(const TetMesh& mesh, TetId t, Delta& delta) {
     delta.removed.push_back(t);
   }
   const TetState after = lives ? delta.upserted.back() : TetState{};
-  if (existed) count_sides(mesh, before, -1);
-  if (lives) count_sides(mesh, after, 1);
-  commit_boundary(t, before, after, delta);
+  if (before.cut_mask != 0) count_sides(mesh, before, -1);
+  if (after.cut_mask != 0) count_sides(mesh, after, 1);
+  if ((before.boundary_mask | after.boundary_mask) != 0) commit_boundary(t, before, after, delta);
 }
 
 // A tetrahedron that does not exist has no boundary faces.

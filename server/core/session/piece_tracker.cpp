@@ -183,15 +183,17 @@ void PieceTracker::claim(NodeId node, std::uint32_t group) {
   clusters_.prefetch_beside(node);
 }
 
-// The group reaches a node: it claims it, or merges with the group that has it.
-void PieceTracker::meet(NodeId node, std::uint32_t group) {
+// The group reaches a node: it claims it, or merges with the group that has it. Nearly always it has it itself.
+inline void PieceTracker::meet(NodeId node, std::uint32_t group) {
   const TetClusters::Node& known = clusters_[node];
   if (known.search != search_) {
     claim(node, group);
-    return;
+  } else if (known.group != group) {
+    merge(find(known.group), group);
   }
-  if (known.group == group) return;
-  const std::uint32_t other = find(known.group);
+}
+
+void PieceTracker::merge(std::uint32_t other, std::uint32_t group) {
   if (other == group) return;
   // One piece is one component, so both began in the same one.
   Group &g = groups_[group], &o = groups_[other];

@@ -51,6 +51,7 @@ class PieceTracker {
   struct Search;
   void claim(NodeId node, std::uint32_t group);
   void meet(NodeId node, std::uint32_t group);
+  void merge(std::uint32_t other, std::uint32_t group);
   void settle(std::uint32_t piece);
   bool has_other_neighbors(TetId t) const;
   Search& search_of(std::uint32_t piece);

@@ -163,15 +163,16 @@ std::int64_t TetClusters::visit_beside_cluster(std::uint32_t cluster, Visit visi
   // First collect all neighbours, without branches: most of the time goes into waiting for memory.
   std::uint32_t beside[4 * kMax];
   std::size_t count = 0;
+  const std::uint32_t* const cluster_of = cluster_of_.data();
   for (const TetId t : members_of(c)) mesh_.prefetch(t);
   for (const TetId t : members_of(c)) {
     for (int f = 0; f < 4; ++f) {
       const TetId n = mesh_.neighbor(t, f);
-      beside[count] = cluster_of_[n == kNone ? t : n];
-      __builtin_prefetch(&clusters_[beside[count]]);
+      beside[count] = cluster_of[n == kNone ? t : n];
       count += beside[count] != cluster;
     }
   }
+  for (std::size_t i = 0; i < count; ++i) __builtin_prefetch(&clusters_[beside[i]]);
   const std::int64_t units = 1 + c.node.tets / 4;
   std::uint32_t met = cluster;
   for (std::size_t i = 0; i < count; ++i) {
