@@ -102,7 +102,8 @@ TetMesh::TetMesh(const TetMesh& other)
       has_regions_(other.has_regions_),
       came_cut_(other.came_cut_),
       initial_vertex_copies_(other.initial_vertex_copies_),
-      mean_edge_length_(other.mean_edge_length_) {
+      mean_edge_length_(other.mean_edge_length_),
+      widest_local_h_(other.widest_local_h_) {
   vertex_marks_.grow_to(vertices_.size());
   tet_marks_.grow_to(tets_.size());
   log_.grow_to(vertices_.size(), tets_.size());
@@ -129,6 +130,13 @@ void TetMesh::measure_edges() {
     if (counts[v] > 0) vertices_[v].h = static_cast<float>(sums[v] / counts[v]);
   }
   mean_edge_length_ = tets_.empty() ? 0 : sum / (6.0 * static_cast<double>(tets_.size()));
+  find_widest();
+}
+
+void TetMesh::find_widest() {
+  float widest = 0;
+  for (const Vertex& v : vertices_) widest = std::max(widest, v.h);
+  widest_local_h_ = static_cast<double>(widest);
 }
 
 void TetMesh::take_adjacency(std::span<const HalfFace> opposite) {
@@ -244,6 +252,7 @@ void TetMesh::archive(Archive& io) {
   grow_to(tets_, tets_.size());
   grow_to(cut_masks_, tets_.size());
   find_boundary();
+  find_widest();
   vertex_marks_.grow_to(vertices_.size());
   tet_marks_.grow_to(tets_.size());
   log_.grow_to(vertices_.size(), tets_.size());

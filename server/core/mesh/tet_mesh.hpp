@@ -114,10 +114,12 @@ class TetMesh {
   const Vec3& position(VertexId v) const { return vertices_[v].position; }
   // A tetrahedron that has v; kNone where none is left.
   TetId vertex_tet(VertexId v) const { return vertices_[v].tet; }
-  // Mean length of the edges at v when v came into being, m.
   // Whether any tetrahedron has v.
   bool is_used(VertexId v) const { return vertices_[v].tet != kNone; }
+  // Mean length of the edges at v when v came into being, m.
   double local_h(VertexId v) const { return static_cast<double>(vertices_[v].h); }
+  // No vertex has a larger one.
+  double widest_local_h() const { return widest_local_h_; }
   // Whether a face at v has nothing on its other side. O(1).
   bool at_boundary(VertexId v) const { return at_boundary_[v] != 0; }
   // False: no face at v has been opened by a cut. O(1).
@@ -324,6 +326,7 @@ class TetMesh {
 
   // mesh_build.cpp
   void measure_edges();
+  void find_widest();
   void build_adjacency();
   void take_regions(std::span<const std::int32_t> regions);
   void archive_attributes(Archive& io);
@@ -370,6 +373,7 @@ class TetMesh {
   bool came_cut_ = false;
   std::uint32_t initial_vertex_copies_ = 0;
   double mean_edge_length_ = 0;
+  double widest_local_h_ = 0;
 
   ChangeLog log_;
 

@@ -52,6 +52,7 @@ double ActiveSet::needed_since_m() const {
 bool ActiveSet::ripe(Entry& entry) {
   if (!cut_.has_front) return true;
   if (cut_.path.travel_m() < entry.ripe_at_m) return false;
+  if (!cut_.front_is_near) return true;
   cut_.work += cost::kLook;
   for (VertexId v : cut_.mesh.vertices(entry.tet)) {
     auto& marks = cut_.workspace.vertices[v];

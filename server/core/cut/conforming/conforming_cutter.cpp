@@ -39,8 +39,7 @@ void ConformingCutter::begin(const Batch& batch) {
   begin_part();
   if (batch.stroke != cut_.stroke) begin_stroke(batch.stroke);
   cut_.batch = batch.number;
-  cut_.front = batch.lines.back();
-  cut_.has_front = !batch.ends_stroke;
+  cut_.set_front(batch.lines.back(), !batch.ends_stroke);
   const BoundaryGrid& grid = cut_.workspace.grid;
   cut_.path.add(batch, {grid.low(), grid.high(), cut_.mesh.deformed()}, cut_.work);
   cut_.workspace.swept.add(batch.lines, cut_.stroke, cut_.path.travel_before_batch_m(),

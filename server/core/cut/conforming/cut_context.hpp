@@ -74,9 +74,17 @@ struct CutContext {
            std::min(std::abs(one_m), std::abs(other_m)) > tolerance::kBeside_h * h;
   }
 
+  // Where the blade is now. `goes_on`: the stroke does.
+  void set_front(const BladeLine& line, bool goes_on) {
+    front = line;
+    has_front = goes_on;
+    const Box tissue{workspace.grid.low(), workspace.grid.high()};
+    front_is_near = goes_on && tissue.widened(tolerance::kHot_local * mesh.widest_local_h())
+                                   .meets(Box::around({line.heel, line.tip}));
+  }
   // Whether v is near the blade, and by how much.
   bool hot(VertexId v, double* by_m = nullptr) const {
-    if (!has_front) return false;
+    if (!front_is_near) return false;
     const double reach = tolerance::kHot_local * mesh.local_h(v);
     const double d2 = squared_distance_to_segment(mesh.position(v), front.heel, front.tip);
     if (d2 >= reach * reach) return false;
@@ -133,6 +141,7 @@ struct CutContext {
   StrokePath path;
   std::uint32_t oldest_batch = 0;  // of the path
   bool has_front = false;          // the stroke goes on: what is near the blade waits
+  bool front_is_near = false;      // and it has not left all tissue behind
   BladeLine front;                 // the blade now
   // The stroke's sweep has come upon a cut, older or its own, or upon the end of a sweep, or leads to the boundary beside it.
   bool meets_cut = false;
