@@ -4,6 +4,7 @@
 #include <array>
 #include <cmath>
 #include <cstddef>
+#include <cstring>
 
 #include "server/core/geometry/vec3.hpp"
 
@@ -36,6 +37,17 @@ struct Points {
   }
   // Bit i: v[i] is at least a bound.
   static unsigned from(const double (&v)[N], double bound) {
+#if defined(__SSE2__)
+    if constexpr (N == 4) {
+      using Pair = double __attribute__((vector_size(16)));
+      const auto pair = [&](std::size_t i) {
+        Pair at;
+        std::memcpy(&at, v + i, sizeof at);
+        return static_cast<unsigned>(__builtin_ia32_movmskpd(reinterpret_cast<Pair>(at >= bound)));
+      };
+      return pair(0) | pair(2) << 2;
+    }
+#endif
     unsigned bits = 0;
     for (unsigned i = 0; i < N; ++i) bits |= (v[i] >= bound ? 1u : 0u) << i;
     return bits;

@@ -10,6 +10,8 @@ namespace {
 
 // Of a squared reach: far more than arithmetic loses, far less than anything that matters.
 constexpr double kRounded = 1e-6;
+// What is nearer than this part of a reach is within it, however that is rounded.
+constexpr double kSurely = 0.999;
 // A surface is flat if no normal is off another one by more than this, and it is so this part of its size beside it, too.
 constexpr double kFlatWithin = 1e-9, kBesideFlat = 0.01;
 
@@ -77,15 +79,15 @@ void SweptSurface::add_strip(const Vec3& a, const Vec3& b, const Vec3& c, const 
   if (make_swept_triangle(a, c, d, triangle)) triangles_.push_back(triangle);
 }
 
-void SweptSurface::build(std::size_t latest) {
+void SweptSurface::build(std::size_t latest, const Box* around) {
   all_.build(triangles_, 0, built_, first_);
   built_ = triangles_.size();
   const std::size_t from = std::min(latest, triangles_.size());
   latest_.build(triangles_, from, from);
-  find_flat_box();
+  find_flat_box(around);
 }
 
-void SweptSurface::find_flat_box() {
+void SweptSurface::find_flat_box(const Box* around) {
   flat_box_ = kNowhere;
   if (triangles().empty()) return;
   const SweptTriangle& first = triangles().front();
@@ -99,6 +101,7 @@ void SweptSurface::find_flat_box() {
     return;
   Box box = kNowhere;
   for (const SweptTriangle& s : triangles()) box.add({s.low, s.high});
+  if (around != nullptr) box.add(*around);
   const Vec3 middle = 0.5 * (box.low + box.high), half = (0.5 + kBesideFlat) * (box.high - box.low);
   const double reach_m = std::max({half.x, half.y, half.z});
   flat_off_m_ = 0;
@@ -131,6 +134,11 @@ void SweptSurface::move(const AffineMotion& motion) {
   built_ = 0;
 }
 
+bool SweptSurface::is_clearly_beyond(const Vec3& p, double reach) const {
+  return flat_box_.has(p) &&
+         std::abs(triangles_[first_].signed_distance(p)) - flat_off_m_ > (2 - kSurely) * reach;
+}
+
 bool SweptSurface::is_over(const Vec3& p, double reach, double clear_m) const {
   return any_near(p, reach, [&](const SweptTriangle& s) { return s.is_under(p, reach, clear_m); });
 }
@@ -139,6 +147,7 @@ bool SweptSurface::near(const Vec3& p, double reach, Vec3& point, std::uint32_t&
   if (has(triangle)) {
     const SweptTriangle& s = triangles_[triangle];
     if (s.is_under(p, reach, 0)) {
+      found_ = triangle;
       point = p - s.signed_distance(p) * s.normal;
       return true;
     }
@@ -148,6 +157,7 @@ bool SweptSurface::near(const Vec3& p, double reach, Vec3& point, std::uint32_t&
 
 bool SweptSurface::closest(const Vec3& p, double reach, Vec3& point, std::uint32_t& triangle,
                            std::uint32_t likely) const {
+  if (is_clearly_beyond(p, reach)) return false;
   double best = reach * reach;
   // The closest is no farther than the likely one, but for what is rounded: which it is, the search decides.
   if (has(likely)) {
@@ -179,6 +189,10 @@ bool SweptSurface::was_swept_within(const Vec3& p, double reach) const {
 }
 
 bool SweptSurface::is_within(const Vec3& p, double reach, std::uint8_t without) const {
+  if (is_clearly_beyond(p, reach)) return false;
+  if (has(found_) && (triangles_[found_].rim & without) == 0 &&
+      triangles_[found_].is_under(p, kSurely * reach, 0))
+    return true;
   const double reach2 = reach * reach;
   return any_near(p, reach, [&](const SweptTriangle& s) {
     if ((s.rim & without) != 0) return false;
@@ -194,6 +208,7 @@ bool SweptSurface::any_near(const Vec3& p, double reach, Is is) const {
   all_.each_near(p, left, [&](std::uint32_t i) {
     if (found || !is(triangles_[i])) return;
     found = true;
+    found_ = i;
     left = -1;  // nothing is as near
   });
   return found;

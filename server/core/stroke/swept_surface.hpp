@@ -27,8 +27,8 @@ class SweptSurface {
   // Adds the quad with these corners in turn, none of whose sides is a rim. `continues`: no blade has swept it.
   void add_strip(const Vec3& a, const Vec3& b, const Vec3& c, const Vec3& d, std::uint32_t batch,
                  bool continues);
-  // `latest`: the first triangle of the last batch.
-  void build(std::size_t latest = SIZE_MAX);
+  // `latest`: the first triangle of the last batch. `around`: what flat_box() shall hold besides.
+  void build(std::size_t latest = SIZE_MAX, const Box* around = nullptr);
   // Forgets all triangles of batches before `oldest`; returns by how much the others' indices become less. Call build() before the next query.
   std::size_t drop_before(std::uint32_t oldest);
   void clear();
@@ -47,7 +47,11 @@ class SweptSurface {
   // true; returns whether one did. Leaves some of those out on one side of whose plane all the points lie, farther off than that.
   template <std::size_t N, class Visit>
   bool any_between(const Points<N>& points, double slack_m, Visit visit) const {
-    return all_.any_between(points, slack_m, visit);
+    return all_.any_between(points, slack_m, [&](std::uint32_t i) {
+      if (!visit(i)) return false;
+      found_ = i;
+      return true;
+    });
   }
   // The same for the triangles of the last batch alone.
   template <std::size_t N, class Visit>
@@ -89,7 +93,9 @@ class SweptSurface {
   // Leaves out those with one of these bits in `rim`.
   bool is_within(const Vec3& p, double reach, std::uint8_t without) const;
 
-  void find_flat_box();
+  void find_flat_box(const Box* around);
+  // Whether it is flat, and all of it farther off p than `reach`.
+  bool is_clearly_beyond(const Vec3& p, double reach) const;
   // Whether a query may find that triangle.
   bool has(std::uint32_t index) const { return index >= first_ && index < built_; }
 
@@ -101,6 +107,8 @@ class SweptSurface {
   Box flat_box_ = kNowhere;
   double flat_off_m_ = 0;
   SweptTree all_, latest_;
+  mutable std::uint32_t found_ =
+      0;  // the triangle that a query has found last: the next one asks near there, as a rule
 };
 
 }  // namespace incise::core

@@ -61,7 +61,7 @@ bool ConformingCutter::end_part(std::size_t more) {
 
 void ConformingCutter::begin_search() {
   cut_.path.forget_before(active_.needed_since_m());
-  cut_.path.build();
+  cut_.path.build(cut_.near_tissue());
   cut_.oldest_batch = cut_.path.oldest_batch();
   active_.take_offered();
   editor_.begin_batch();

@@ -181,10 +181,6 @@ SearchStage::Meets SearchStage::probe_plane(TetId t, const FourPoints& p, double
   p.along(plane_->normal, plane_->offset, off);
   if (FourPoints::nearest(off) <= slack_m + cut_.clear_m) return Meets::kUnsure;
   const auto& v = mesh_.vertices(t);
-  const Box& box = cut_.surface().flat_box();
-  if (!box.has({FourPoints::least(p.x), FourPoints::least(p.y), FourPoints::least(p.z)}) ||
-      !box.has({FourPoints::most(p.x), FourPoints::most(p.y), FourPoints::most(p.z)}))
-    return Meets::kUnsure;
   unsigned edges = kEdgesAcross[FourPoints::from(off, 0)];
   if (edges == 0) return Meets::kNo;
   for (; edges != 0; edges &= edges - 1) {

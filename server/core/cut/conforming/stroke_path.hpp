@@ -40,7 +40,7 @@ class StrokePath {
   }
   // Forgets what the blade swept before it had travelled `limit_m`.
   void forget_before(double limit_m);
-  void build() { surface_.build(first_latest_); }
+  void build(const Box& tissue) { surface_.build(first_latest_, &tissue); }
   // What was swept goes along with the tissue, between two batches.
   void move(const AffineMotion& motion);
   // After the stroke's end.

@@ -103,9 +103,10 @@ TEST(StrokePathTurns, AWideArcIsNoneAndATightOneIsFollowed) {
 // A blade that goes along `lines`, in batches of `count` segments. The body does not move.
 void go(StrokePath& path, const std::vector<BladeLine>& lines, std::size_t count) {
   WorkMeter work;
+  const Box tissue{{-1, -1, -1}, {1, 1, 1}};
   for (const Batch& batch : batches_of(lines, count)) {
-    path.add(batch, {{-1, -1, -1}, {1, 1, 1}}, work);
-    path.build();
+    path.add(batch, {tissue.low, tissue.high}, work);
+    path.build(tissue);
   }
 }
 
