@@ -121,6 +121,10 @@ bool ClosingStage::advance(WorkBudget& budget) {
   return true;
 }
 
+inline void ClosingStage::consider_faces(TetId t) {
+  if (pass_.insert(t)) consider_new_faces(t);
+}
+
 // The faces around the vertices of what has opened, or is held.
 bool ClosingStage::collect(WorkBudget& budget) {
   for (; next_ < around_.size(); ++next_) {
@@ -206,8 +210,7 @@ bool ClosingStage::collect_held(HeldFaces& held, Kind kind, WorkBudget& budget) 
 }
 
 // Only a tetrahedron with three vertices at the boundary has such a face: few have.
-void ClosingStage::consider_faces(TetId t) {
-  if (!pass_.insert(t)) return;
+void ClosingStage::consider_new_faces(TetId t) {
   unsigned inside = 0;  // bit i: vertex i is
   const auto& v = mesh_.vertices(t);
   for (unsigned i = 0; i < 4; ++i) inside |= (mesh_.at_boundary(v[i]) ? 0u : 1u) << i;

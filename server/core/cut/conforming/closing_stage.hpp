@@ -92,6 +92,7 @@ class ClosingStage {
   void open(std::span<const HalfFace> faces);
   bool goes_on(WorkBudget& budget);
   void consider_faces(TetId t);
+  void consider_new_faces(TetId t);
   void consider(HalfFace h);
   bool has_to_wait(HalfFace h);
   // One of the two sides of a face waits for both.

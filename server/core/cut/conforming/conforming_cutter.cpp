@@ -23,7 +23,7 @@ ConformingCutter::ConformingCutter(TetMesh& mesh, CutWorkspace& workspace, const
 
 void ConformingCutter::begin_stroke(std::uint32_t stroke) {
   cut_.stroke = stroke;
-  cut_.meets_cut = false;
+  cut_.meets_cut = cut_.may_have_failed = false;
   cut_.others.begin_stroke();
   cut_.path.clear();
   active_.clear();
@@ -191,6 +191,7 @@ void ConformingCutter::archive(Archive& io) {
   joining_.archive(io);
   closing_.archive(io);
   pinched_.archive(io);
+  if (io.reads()) cut_.may_have_failed = true;
 }
 
 }  // namespace incise::core

@@ -64,7 +64,7 @@ struct CutContext {
     return stands(v) ? near || near_for_the_edge : near && near_for_the_edge;
   }
   // Whether a crossing at v could not be dealt with.
-  bool failed(VertexId v) const { return workspace.vertices[v].failed == stroke; }
+  bool failed(VertexId v) const { return may_have_failed && workspace.vertices[v].failed == stroke; }
 
   // A box around all that is near the tissue.
   Box near_tissue() const { return Box{workspace.grid.low(), workspace.grid.high()}.widened(h); }
@@ -145,6 +145,7 @@ struct CutContext {
   BladeLine front;                 // the blade now
   // The stroke's sweep has come upon a cut, older or its own, or upon the end of a sweep, or leads to the boundary beside it.
   bool meets_cut = false;
+  bool may_have_failed = true;  // false: the stroke has dealt with all crossings so far
   OtherBlades others;
 
   CutCounts counts;

@@ -14,6 +14,7 @@ void MeshEditor::judge_again(const VertexStar& star, VertexId v) {
   const bool at_v = failed(v);
   for (const VertexStar::Corner& c : star.corners()) {
     look_again(c.tet);
+    if (!cut_.may_have_failed) continue;
     if (at_v || std::ranges::any_of(c.others, failed)) active_.add(c.tet);
   }
 }
@@ -364,6 +365,7 @@ void MeshEditor::open(std::span<const HalfFace> faces) {
 
 void MeshEditor::fail(VertexId v) {
   if (cut_.failed(v)) return;
+  cut_.may_have_failed = true;
   cut_.workspace.vertices[v].failed = cut_.stroke;
   mesh_.star(v, star_);
   cut_.work += static_cast<std::int64_t>(star_.size());

@@ -80,6 +80,7 @@ bool OpeningStage::select_faces(TetId t) {
   selected_.add(t);
   auto& marks = cut_.workspace.tets;
   const unsigned faces = may_separate(t) & ~unsigned{marks[t].pending};
+  if (faces == 0) return false;
   for (int f = 0; f < 4; ++f) {
     const HalfFace h = half_face(t, f), o = mesh_.opposite(h);
     // From the other side it looks the same.
@@ -200,6 +201,7 @@ unsigned OpeningStage::may_separate(TetId t) const {
     off |= (cut_.was_on_surface(v[i]) ? 0u : 1u) << i;
     failed |= (cut_.failed(v[i]) ? 1u : 0u) << i;
   }
+  if (failed == 0 && (off & (off - 1)) != 0) return 0;
   unsigned faces = 0;
   for (unsigned f = 0; f < 4; ++f) {
     const unsigned others = 0xfu & ~(1u << f);
