@@ -4,7 +4,6 @@
 #include <array>
 #include <cmath>
 #include <numbers>
-#include <span>
 
 #include "server/core/cut/conforming/films.hpp"
 #include "server/core/mesh/boundary_grid.hpp"
@@ -14,8 +13,8 @@ namespace incise::core {
 using namespace tolerance;
 
 void BridgeSuspects::keep(HalfFace h) {
-  const std::size_t newest = std::min<std::size_t>(faces_.size(), 64);
-  if (std::ranges::count(std::span(faces_).last(newest), h) > 0) return;
+  const auto newest = std::min<std::ptrdiff_t>(std::ssize(faces_), 64);
+  if (std::find(faces_.end() - newest, faces_.end(), h) != faces_.end()) return;
   if (faces_.size() == kMostBridges) faces_.erase(faces_.begin(), faces_.begin() + kMostBridges / 4);
   faces_.push_back(h);
 }

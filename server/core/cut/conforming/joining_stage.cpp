@@ -453,6 +453,7 @@ void JoiningStage::list(const Vec3& from, const Vec3& to, const Vec3& direction,
     return i == 0 ? from : i == count ? to : lerp(from, to, static_cast<double>(i) / count);
   };
   const Box tissue = cut_.near_tissue();
+  if (!Box::around({from, to}).meets(tissue)) return;
   for (int i = 0; i < count; ++i) {
     const Vec3 a = at(i), b = at(i + 1);
     if (Box::around({a, b}).meets(tissue)) parts_.push_back({a, b, direction, kind});
