@@ -76,6 +76,7 @@ class MessageReader : public FieldReader {
                                  text("surface.content_hash", surface->content_hash())};
     }
     out.fields = field_facts(m.fields());
+    out.restart = restart(m.restart());
     return out;
   }
   Body read(const wire::Subscribe& m) {
@@ -287,10 +288,11 @@ class MessageReader : public FieldReader {
     out.pose_to_delta_p99_us = finite("pose_to_delta_p99_us", m.pose_to_delta_p99_us());
     out.recording = enumeration<Recording>("recording", m.recording());
     out.undoable = m.undoable();
+    out.blades = blade_stats(m.blades());
     return out;
   }
   Body read(const wire::Reset&) { return Reset{}; }
-  Body read(const wire::Undo&) { return Undo{}; }
+  Body read(const wire::Undo& m) { return Undo{m.others()}; }
   Body read(const wire::ReplayControl& m) {
     const float speed = finite("speed", m.speed());
     require(speed > 0, "speed", "accepted are numbers above 0");

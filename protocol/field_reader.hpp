@@ -255,6 +255,26 @@ class FieldReader {
     return out;
   }
 
+  std::optional<Restart> restart(const wire::Restart* value) {
+    if (value == nullptr) return std::nullopt;
+    const bool known = value->kind() <= wire::RestartKind::MAX;
+    return Restart{known ? static_cast<RestartKind>(value->kind()) : RestartKind::None,
+                   enumeration<Role>("restart.role", value->role()), text("restart.by", value->by()),
+                   value->source(), text("restart.blade", value->blade())};
+  }
+
+  std::vector<BladeStats> blade_stats(const Vec<flatbuffers::Offset<wire::BladeStats>>* values) {
+    std::vector<BladeStats> out;
+    if (values == nullptr) return out;
+    require(values->size() <= kMaxStatsBlades, "blades", "above the limit of 64");
+    if (!ok()) return out;
+    for (const wire::BladeStats* b : *values) {
+      out.push_back({b->source(), text("blades.name", b->name()), b->poses(), b->rejected(), b->strokes(),
+                     b->cut_faces(), b->in_stroke()});
+    }
+    return out;
+  }
+
   float rate(const char* field, float hz) {
     finite(field, hz);
     require(hz >= 0, field, "accepted are numbers from 0");

@@ -97,6 +97,24 @@ Offset<Vec<Offset<wire::FieldFacts>>> field_facts(FlatBufferBuilder& b,
   return offsets.empty() ? Offset<Vec<Offset<wire::FieldFacts>>>() : b.CreateVector(offsets);
 }
 
+Offset<wire::Restart> restart(FlatBufferBuilder& b, const std::optional<Restart>& value) {
+  if (!value) return {};
+  const auto by = text(b, value->by), blade = text(b, value->blade);
+  return wire::CreateRestart(b, wire::RestartKind(value->kind), wire::Role(value->role), by, value->source,
+                             blade);
+}
+
+Offset<Vec<Offset<wire::BladeStats>>> blade_stats(FlatBufferBuilder& b,
+                                                  const std::vector<BladeStats>& values) {
+  std::vector<Offset<wire::BladeStats>> offsets;
+  for (const BladeStats& s : values) {
+    const auto name = text(b, s.name);
+    offsets.push_back(
+        wire::CreateBladeStats(b, s.source, name, s.poses, s.rejected, s.strokes, s.cut_faces, s.in_stroke));
+  }
+  return offsets.empty() ? Offset<Vec<Offset<wire::BladeStats>>>() : b.CreateVector(offsets);
+}
+
 // One overload a message; each returns the offset of its table.
 struct Encoder {
   FlatBufferBuilder& b;
@@ -125,11 +143,12 @@ struct Encoder {
       surface = wire::CreateSurfaceFacts(b, m.surface->triangles, path, hash);
     }
     const auto fields = field_facts(b, m.fields);
+    const auto began = restart(b, m.restart);
     return wire::CreateWelcome(b, m.protocol_version, m.session, wire::Role(m.role), wire::View(m.view),
                                m.resumed, m.revision, m.state_hash, mesh, &heel, &tip, m.source,
                                m.engage_button, m.max_speed_m_s, m.frame_rate_hz, m.max_message_bytes, name,
                                version, m.server_monotonic_ns, m.server_unix_ns, policy,
-                               wire::Recording(m.recording), surface, fields)
+                               wire::Recording(m.recording), surface, fields, began)
         .Union();
   }
   auto operator()(const Subscribe& m) {
@@ -255,12 +274,13 @@ struct Encoder {
   }
   auto operator()(const Stats& m) {
     const auto json = text(b, m.json);
+    const auto blades = blade_stats(b, m.blades);
     return wire::CreateStats(b, json, m.revision, m.live_tets, m.pieces, m.sessions, m.backlog_segments,
                              m.frames, m.late_frames, m.poses_accepted, m.poses_rejected, m.frame_work_p99_us,
-                             m.pose_to_delta_p99_us, wire::Recording(m.recording), m.undoable)
+                             m.pose_to_delta_p99_us, wire::Recording(m.recording), m.undoable, blades)
         .Union();
   }
-  auto operator()(const Undo&) { return wire::CreateUndo(b).Union(); }
+  auto operator()(const Undo& m) { return wire::CreateUndo(b, m.others).Union(); }
   auto operator()(const Reset&) { return wire::CreateReset(b).Union(); }
   auto operator()(const ReplayControl& m) {
     const auto capture = text(b, m.capture);

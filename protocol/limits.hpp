@@ -30,6 +30,9 @@ inline constexpr std::size_t kMaxTextBytes = 4096;
 // Statistics as JSON: histograms of every stage and session.
 inline constexpr std::size_t kMaxStatsJsonBytes = 1u << 20;
 
+// Blades in statistics: far more than one server has.
+inline constexpr std::size_t kMaxStatsBlades = 64;
+
 // Steps in one coalesced delta; beyond that a snapshot is the shorter way to say it.
 inline constexpr std::size_t kMaxStepsPerDelta = 4096;
 // Vertices and tetrahedra of one mesh: half-faces are 4 * tetrahedron + face in 32 bits, kNone excluded.

@@ -98,6 +98,17 @@ struct SurfaceFacts {
   std::string path, content_hash;
 };
 
+enum class RestartKind : std::uint8_t { None, Reset, Undo };
+
+struct Restart {
+  RestartKind kind = RestartKind::None;
+  Role role = Role::Viewer;
+  std::string by;
+  std::uint32_t source = 0;
+  std::string blade;
+  friend bool operator==(const Restart&, const Restart&) = default;
+};
+
 struct Welcome {
   std::uint32_t protocol_version = kProtocolVersion;
   std::uint64_t session = 0;
@@ -120,6 +131,7 @@ struct Welcome {
   Recording recording = Recording::Off;
   std::optional<SurfaceFacts> surface;
   std::vector<FieldFacts> fields;
+  std::optional<Restart> restart;
 };
 
 struct Subscribe {
@@ -353,6 +365,15 @@ struct Positions {
   std::span<const double> f64;
 };
 
+struct BladeStats {
+  std::uint32_t source = 0;
+  std::string name;
+  std::uint64_t poses = 0, rejected = 0;
+  std::uint32_t strokes = 0;
+  std::uint64_t cut_faces = 0;
+  bool in_stroke = false;
+};
+
 struct Stats {
   std::string json;
   std::uint64_t revision = 0;
@@ -361,12 +382,15 @@ struct Stats {
   float frame_work_p99_us = 0, pose_to_delta_p99_us = 0;
   Recording recording = Recording::Off;
   std::uint32_t undoable = 0;
+  std::vector<BladeStats> blades;
 };
 
 struct Reset {};
 
 // An operator's or admin's: back to the state before the last stroke that cut something.
-struct Undo {};
+struct Undo {
+  bool others = false;
+};
 
 enum class ReplayAction : std::uint8_t { Open, Play, Pause, Step, Seek, Close };
 

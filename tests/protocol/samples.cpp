@@ -364,6 +364,10 @@ const std::vector<std::pair<std::string, Body>>& extended_messages() {
     wanting.fields = {"temperature", "*"};
     Welcome carrying = hail;
     carrying.fields = fields;
+    Welcome undone = hail;
+    undone.restart = Restart{RestartKind::Undo, Role::Admin, "ward 3", 2, "right hand"};
+    Stats hands = stats;
+    hands.blades = {{0, "left hand", 4000, 3, 2, 310, true}, {2, "right hand", 12, 0, 0, 0, false}};
     return std::vector<std::pair<std::string, Body>>{
         {"WelcomeRecording", hail},
         {"PoseReportRecorded",
@@ -396,6 +400,9 @@ const std::vector<std::pair<std::string, Body>>& extended_messages() {
         {"ReplayTimeline",
          ReplayState{"liver-1.incise", false, 1, 0, 4, "", {20, 40, 40, 90}, {0, 0, 2, 0}, {1, 1, 2, 0}}},
         {"BladePoseForce", felt},
+        {"WelcomeRestart", undone},
+        {"StatsBlades", hands},
+        {"UndoOthers", Undo{true}},
     };
   }();
   return all;

@@ -7,10 +7,10 @@ using Incise;
 /// <summary>The golden vectors: every field read, every field written, states byte for byte, and damaged bytes.</summary>
 public static class VectorTests
 {
-    private static readonly string[] Sent = { "Hello", "HelloResumeHash", "Resync", "Ping", "Pong", "Bye", "PoseBatch", "StrokeControl", "Reset", "Undo",
+    private static readonly string[] Sent = { "Hello", "HelloResumeHash", "Resync", "Ping", "Pong", "Bye", "PoseBatch", "StrokeControl", "Reset", "Undo", "UndoOthers",
         "HelloLoadRate", "Positions", "BladeModel" };
     private static readonly string[] PassedOver = { "Hello", "HelloResumeHash", "Subscribe", "Resync", "PoseBatch", "StrokeControl", "Positions", "Reset",
-        "ReplayControl", "ReplayState", "ReplayTimeline", "HelloLoadRate", "BladeModel", "Undo", "FieldValues", "FieldValuesWhole", "HelloFields", "SubscribeFields" };
+        "ReplayControl", "ReplayState", "ReplayTimeline", "HelloLoadRate", "BladeModel", "Undo", "UndoOthers", "FieldValues", "FieldValuesWhole", "HelloFields", "SubscribeFields" };
 
     public static void EveryFieldIsRead()
     {

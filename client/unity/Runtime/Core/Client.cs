@@ -126,10 +126,11 @@ namespace Incise
             return Send(new Reset()) > 0;
         }
 
-        /// <summary>An operator who holds a blade, or role Admin: back to the state before the last stroke that cut something, for everybody.</summary>
-        public bool Undo()
+        /// <summary>An operator who holds a blade, or role Admin: back to the state before the last stroke that cut something, for everybody. An operator's is
+        /// refused where another blade has cut since that stroke began, unless `others`: then that is undone as well.</summary>
+        public bool Undo(bool others = false)
         {
-            return Send(new Undo()) > 0;
+            return Send(new Undo { Others = others }) > 0;
         }
 
         /// <summary>

@@ -10,7 +10,7 @@ namespace Incise
         internal const uint NoId = 0xffffffff;
         private const uint IdLimit = 0x3fffffff;
         private const double MaxCoordinate = 1e6;
-        private const int NameBytes = 256, TextBytes = 4096, JsonBytes = 1 << 20, MaxSteps = 4096, MaxChunks = 65536, MaxMaterials = 4096, MaxFields = 256;
+        private const int NameBytes = 256, TextBytes = 4096, JsonBytes = 1 << 20, MaxSteps = 4096, MaxChunks = 65536, MaxMaterials = 4096, MaxFields = 256, MaxBlades = 64;
 
         /// <summary>The message in the first bytes of an array. Throws WireException.</summary>
         public static Message Read(byte[] data, int length)
@@ -72,6 +72,16 @@ namespace Incise
                 m.Fields[i] = new FieldFacts
                 {
                     Name = fields[i].Text(0, NameBytes), On = (FieldOn)Enumeration(fields[i], 1, 1), Components = components, Whole = fields[i].Bool(3)
+                };
+            }
+            FlatTable restart;
+            if (t.Table(23, out restart))
+            {
+                byte kind = restart.Byte(0);
+                m.Restart = new Restart
+                {
+                    Kind = kind > (byte)RestartKind.Undo ? RestartKind.None : (RestartKind)kind, Role = (Role)Enumeration(restart, 1, 3),
+                    By = restart.Text(2, NameBytes), Source = restart.UInt(3), Blade = restart.Text(4, NameBytes)
                 };
             }
             Require(m.EngageButton >= -1 && m.EngageButton < 32, "engage_button: accepted are -1 to 31");
@@ -257,13 +267,24 @@ namespace Incise
 
         private static Stats ReadStats(FlatTable t)
         {
-            return new Stats
+            var m = new Stats
             {
                 Json = t.Text(0, JsonBytes), Revision = t.ULong(1), LiveTets = t.UInt(2), Pieces = t.UInt(3), Sessions = t.UInt(4),
                 BacklogSegments = t.UInt(5), Frames = t.ULong(6), LateFrames = t.ULong(7), PosesAccepted = t.ULong(8),
                 PosesRejected = t.ULong(9), FrameWorkP99Us = t.Float(10), PoseToDeltaP99Us = t.Float(11),
                 Recording = (Recording)Enumeration(t, 12, 2), Undoable = t.UInt(13)
             };
+            FlatTable[] blades = t.Tables(14, MaxBlades);
+            m.Blades = new BladeStats[blades.Length];
+            for (int i = 0; i < blades.Length; ++i)
+            {
+                m.Blades[i] = new BladeStats
+                {
+                    Source = blades[i].UInt(0), Name = blades[i].Text(1, NameBytes), Poses = blades[i].ULong(2), Rejected = blades[i].ULong(3),
+                    Strokes = blades[i].UInt(4), CutFaces = blades[i].ULong(5), InStroke = blades[i].Bool(6)
+                };
+            }
+            return m;
         }
 
         private static Step[] ReadSteps(FlatTable t, int field)

@@ -40,7 +40,7 @@ namespace Incise
             kind = 20;
             if (body is Reset) return draft;
             kind = 26;
-            if (body is Undo) return draft;
+            if (body is Undo undo) return draft.Byte(0, undo.Others ? 1 : 0);
             throw new ArgumentException("a client does not send " + body.GetType().Name);
         }
 

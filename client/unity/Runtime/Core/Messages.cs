@@ -15,6 +15,8 @@ namespace Incise
 
     public enum SnapshotCause : byte { Join, ResumeGone, Resync, TooSlow, Reset, Subscribe }
 
+    public enum RestartKind : byte { None, Reset, Undo }
+
     public enum ByeReason : byte { Unknown, Done, ServerStops, TooSlow, Idle, HandshakeTimeout, HandedOver, Refused }
 
     public enum ErrorCode : ushort
@@ -76,6 +78,19 @@ namespace Incise
         public SurfaceFacts Surface;
         /// <summary>Fields of the body. This client does not ask for their values; Delta.Carry carries your own.</summary>
         public FieldFacts[] Fields = { };
+        /// <summary>Who asked for the reset or the undo that the present ids began with; null: nobody, or the server is older.</summary>
+        public Restart Restart;
+    }
+
+    public sealed class Restart
+    {
+        public RestartKind Kind;
+        public Role Role;
+        /// <summary>An operator's blade, else the name of the client.</summary>
+        public string By = "";
+        /// <summary>Undo: the blade whose stroke was undone, and its name.</summary>
+        public uint Source;
+        public string Blade = "";
     }
 
     public sealed class Resync
@@ -414,12 +429,27 @@ namespace Incise
         public float FrameWorkP99Us, PoseToDeltaP99Us;
         public Recording Recording;
         public uint Undoable;
+        /// <summary>Those that somebody holds.</summary>
+        public BladeStats[] Blades = { };
+    }
+
+    /// <summary>Since the blade was taken.</summary>
+    public sealed class BladeStats
+    {
+        public uint Source, Strokes;
+        public string Name = "";
+        public ulong Poses, Rejected, CutFaces;
+        public bool InStroke;
     }
 
     public sealed class Reset { }
 
     /// <summary>Operators and admins: back to the state before the last stroke that cut something.</summary>
-    public sealed class Undo { }
+    public sealed class Undo
+    {
+        /// <summary>An operator's: also where other blades have cut since that stroke began.</summary>
+        public bool Others;
+    }
 
     /// <summary>Where a blade's edge is between the deltas, Incise's frame.</summary>
     public sealed class BladePose
