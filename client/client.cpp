@@ -127,8 +127,8 @@ bool Client::reset() {
   return impl_->send(protocol::Reset{}) != 0;
 }
 
-bool Client::undo() {
-  return impl_->send(protocol::Undo{}) != 0;
+bool Client::undo(bool others) {
+  return impl_->send(protocol::Undo{others}) != 0;
 }
 
 Status Client::status() const {

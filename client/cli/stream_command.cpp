@@ -14,6 +14,9 @@
 #include <utility>
 
 #include "client/cli/commands.hpp"
+#include "client/cli/restart_notice.hpp"
+#include "client/cli/shown_name.hpp"
+#include "protocol/limits.hpp"
 
 namespace incise::client {
 namespace {
@@ -235,6 +238,9 @@ void reset_body(const Address& where, Options options) {
     if (client->status() != Status::kConnected) throw std::runtime_error("--reset: " + client->last_error());
     if (steady_clock::now() - began > std::chrono::duration<double>(kPatience_s)) {
       throw std::runtime_error("--reset: the server has not reset the body; try again");
+  // The others are told who it was.
+  options.client_name =
+      (options.client_name + " stream, blade " + options.source_name).substr(0, protocol::kMaxNameBytes);
     }
   }
 }
@@ -288,3 +294,4 @@ int run_stream(const StreamCommand& command, protocol::Motion motion) {
 }
 
 }  // namespace incise::client
+  callbacks.on_welcome = RestartNotice();

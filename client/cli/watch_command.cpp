@@ -16,6 +16,7 @@
 
 #include "client/cli/commands.hpp"
 #include "client/cli/output_file.hpp"
+#include "client/cli/restart_notice.hpp"
 
 namespace incise::client {
 namespace {
@@ -189,6 +190,7 @@ class Watcher {
       note(d.steps, a);
     };
     c.on_welcome = [this](const protocol::Welcome& welcome) {
+      restarts_(welcome);
       if (welcome.revision == 0) live_tets_ = welcome.mesh.tets;
     };
     c.on_snapshot = [this](const protocol::SnapshotEnd&, protocol::SnapshotCause) { count_area_ = true; };
@@ -382,6 +384,7 @@ class Watcher {
   Window window_;
   double cut_area_ = 0;
   std::optional<protocol::Stats> stats_;
+  RestartNotice restarts_;  // the client's thread
   std::atomic<bool> count_area_{false};
   std::atomic<std::uint32_t> live_tets_{0};
   std::atomic<const Client*> connected_{nullptr};

@@ -268,13 +268,18 @@ void RunningServer::join_loop() {
   };
   frames_.offer_reset([this] { return spare_.take(); },
                       [this, go_on](std::unique_ptr<core::CutSession> used) {
-                        return go_on(std::move(used), spare_.shown());
+                        const auto shown = spare_.shown();
+                        shown->restart = std::make_shared<const protocol::Restart>(protocol::Restart{
+                            protocol::RestartKind::Reset, protocol::Role::Admin, {}, 0, {}});
+                        return go_on(std::move(used), shown);
                       });
   if (!journal_ || !journal_->checkpointer()) return;
   stream_input_.join(journal_->checkpointer());
   frames_.offer_undo([this] { return undone_.take(); },
                      [this, go_on](std::unique_ptr<core::CutSession> used) {
-                       return go_on(std::move(used), undone_.shown());
+                       const auto shown = undone_.shown();
+                       shown->restart = stream_input_.undone();
+                       return go_on(std::move(used), shown);
                      });
 }
 

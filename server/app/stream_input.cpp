@@ -5,6 +5,7 @@
 
 #include "protocol/blade_name.hpp"
 #include "server/app/offline/recorded_motion.hpp"
+#include "server/stream/quoted.hpp"
 
 namespace incise::app {
 namespace {
@@ -26,25 +27,38 @@ std::string_view name_or_default(std::string_view source_name) {
   return source_name.empty() ? protocol::kDefaultBladeName : source_name;
 }
 
-const char* why_not(loop::UndoEnd end) {
-  switch (end) {
+// As they were when an undo was asked for.
+using BladeNames = std::array<std::string, core::kMaxSources>;
+
+std::string why_not(const loop::UndoAnswer& answer, std::optional<std::uint32_t> asker,
+                    const BladeNames& names) {
+  const std::string blade = "blade " + stream::quoted(names[answer.blade]);
+  switch (answer.end) {
     case loop::UndoEnd::kInStroke:
-      return "a blade was in its stroke all the time, so nothing was undone: end the stroke (buttons up, or "
-             "StrokeControl "
-             "End) and ask again";
+      if (answer.blade == asker)
+        return "your blade was in its stroke all the time, so nothing was undone: end the stroke (buttons "
+               "up, "
+               "or StrokeControl End) and ask again";
+      return blade + " is in a stroke, so nothing was undone: ask again when it is lifted";
     case loop::UndoEnd::kBehind:
       return "the server was behind with its cuts all the time, so nothing was undone: ask again when they "
              "are done";
     case loop::UndoEnd::kReset:
       return "the mesh was reset first: there is no stroke to undo";
     case loop::UndoEnd::kBegun:
-      return "a stroke has begun since, so nothing was undone: ask again when no blade cuts, and begin the "
-             "next stroke when it is done";
+      return "a stroke has begun since, of " + blade +
+             ", so nothing was undone: ask again when no blade cuts, and begin the next stroke when it is "
+             "done";
     case loop::UndoEnd::kNoStroke:
       return "there is no stroke to undo: only those since the server's start can be undone, as far back as "
              "it keeps states";
     case loop::UndoEnd::kOtherBlade:
-      return "the last stroke is that of another blade: its operator or an admin may undo it";
+      return "the last stroke is that of " + blade + ": its operator or an admin may undo it";
+    case loop::UndoEnd::kOtherCut:
+      return blade +
+             " has cut since your last stroke began, and that would be undone, too: ask for both with "
+             "Undo.others "
+             "(on the page: Shift and a click on Undo), or leave it";
     case loop::UndoEnd::kDone:
       break;
   }
@@ -114,17 +128,25 @@ bool StreamInput::is_held(std::string_view source_name) const {
   return sources_.is_held(name_or_default(source_name));
 }
 
-std::string StreamInput::undo(std::optional<std::uint32_t> source, const Answer& answer) {
+std::string StreamInput::undo(const stream::UndoRequest& request, const Answer& answer) {
   if (!loop_ || !checkpointer_)
     return "this server does not offer it: capture.path or capture.checkpoint_replay_s is off";
   if (!checkpointer_->following()) return "the server has lost the way back; a Reset makes it possible again";
-  const bool waits = loop_->request_undo(source, [answer](loop::UndoEnd end) {
-    if (end == loop::UndoEnd::kDone) {
-      answer(std::nullopt);
-    } else {
-      answer(stream::Refusal{protocol::ErrorCode::NotAvailable, std::string("Undo: ") + why_not(end)});
-    }
-  });
+  BladeNames names;
+  for (std::uint32_t source = 0; source < names.size(); ++source) names[source] = sources_.name_of(source);
+  const bool waits = loop_->request_undo(
+      {request.source, request.others},
+      [this, request, answer, names = std::move(names)](const loop::UndoAnswer& end) {
+        if (end.end == loop::UndoEnd::kDone) {
+          const auto role = request.source ? protocol::Role::Operator : protocol::Role::Admin;
+          undone_ = std::make_shared<const protocol::Restart>(
+              protocol::Restart{protocol::RestartKind::Undo, role, request.by, end.blade, names[end.blade]});
+          answer(std::nullopt);
+        } else {
+          answer(stream::Refusal{protocol::ErrorCode::NotAvailable,
+                                 "Undo: " + why_not(end, request.source, names)});
+        }
+      });
   return waits ? "" : "too many wait already: ask again when these are done";
 }
 

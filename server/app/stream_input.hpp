@@ -67,8 +67,10 @@ class StreamInput final : public stream::PeerInput {
                                           const std::optional<protocol::BladeEdge>& own_edge) override;
   std::unique_ptr<stream::PositionsInput> open_positions() override;
   bool is_held(std::string_view source_name) const override;
-  std::string undo(std::optional<std::uint32_t> source, const Answer& answer) override;
+  std::string undo(const stream::UndoRequest& request, const Answer& answer) override;
   bool reset(const Later& /*later*/) override { return loop_ && loop_->request_reset(); }
+  // For the loop's thread, when an undo is done: who asked for it.
+  std::shared_ptr<const protocol::Restart> undone() { return std::move(undone_); }
 
  private:
   input::PoseSources& sources_;
@@ -77,6 +79,7 @@ class StreamInput final : public stream::PeerInput {
   const Config& config_;
   loop::FrameLoop* loop_ = nullptr;
   const loop::Checkpointer* checkpointer_ = nullptr;
+  std::shared_ptr<const protocol::Restart> undone_;  // the loop's thread
 };
 
 }  // namespace incise::app

@@ -239,6 +239,7 @@ void Checkpointer::find_undone(std::uint64_t request) {
   if (last) undone.session = history_.before(*last, session_->config());
   if (undone.session) {
     undone.before = *last;
+    undone.cut_since = history_.cut_since(*last);
     const core::TetMesh& mesh = undone.session->mesh();
     for (core::TetId t = 0; t < mesh.tet_slots(); ++t) {
       if (!mesh.alive(t)) continue;

@@ -326,8 +326,8 @@ void FrameLoop::offer_undo(TakeUndone take, UndoDone done) {
   undo_done_ = std::move(done);
 }
 
-bool FrameLoop::request_undo(std::optional<std::uint32_t> source, UndoAnswered answered) {
-  return undos_.request(source, std::move(answered));
+bool FrameLoop::request_undo(UndoWish wish, UndoAnswered answered) {
+  return undos_.request(wish, std::move(answered));
 }
 
 void FrameLoop::go_back(Undone undone) {

@@ -16,23 +16,37 @@ namespace incise::loop {
 // What became of an undo.
 enum class UndoEnd {
   kDone,
-  kInStroke,    // a blade did not end its stroke in time
+  kInStroke,    // another blade is in its stroke, or the asker's did not end in time
   kBehind,      // the cut, or the checkpointer, did not catch up in time
   kReset,       // the mesh was reset first
   kBegun,       // a stroke began after it was asked for, and before it was done
   kNoStroke,    // there was none to undo
   kOtherBlade,  // the last stroke was not of the blade whose it had to be
+  kOtherCut,    // it was, but another blade has cut since it began
 };
 
-// The undos that were asked for, one after the other: each waits until all that was queued before it is drained and cut and no blade is
-// in its stroke, then for the checkpointer to find the state before the last stroke. Going back there is the loop's.
+struct UndoAnswer {
+  UndoEnd end = UndoEnd::kDone;
+  // Of kDone the one whose stroke it was; of kInStroke, kBegun, kOtherBlade and kOtherCut the one that was in the way.
+  std::uint32_t blade = 0;
+  friend bool operator==(const UndoAnswer&, const UndoAnswer&) = default;
+};
+
+struct UndoWish {
+  std::optional<std::uint32_t> source;  // whose stroke it has to be; nothing: any
+  bool others = false;                  // also where other blades have cut since that stroke began
+};
+
+// The undos that were asked for, one after the other: each waits until all that was queued before it is drained and cut and the asker's blade
+// has ended its stroke, then for the checkpointer to find the state before the last stroke. Going back there is the loop's. A stroke of another
+// blade is not waited for, and what another has cut is not taken back unless that was asked for.
 //
 // Thread: the loop's, except for request(). Owns: the requests.
 class PendingUndos {
  public:
   // Gives what the checkpointer has found, if there is something.
   using Take = std::function<std::unique_ptr<Undone>()>;
-  using Answered = std::function<void(UndoEnd)>;
+  using Answered = std::function<void(UndoAnswer)>;
 
   // Sources and journal must outlive this. `journal` may be null if there is never an offer().
   PendingUndos(const input::PoseSources& input, Journal* journal, std::int64_t patience_ns);
@@ -40,7 +54,7 @@ class PendingUndos {
   // Before the first request.
   void offer(Take take) { take_ = std::move(take); }
   // FrameLoop::request_undo(). From one thread, which may be another.
-  bool request(std::optional<std::uint32_t> source, Answered answered);
+  bool request(UndoWish wish, Answered answered);
 
   // A stroke has begun, with the event of this source that was drained last.
   void note_stroke(std::uint32_t source);
@@ -51,7 +65,7 @@ class PendingUndos {
 
  private:
   struct Request {
-    std::optional<std::uint32_t> source;
+    UndoWish wish;
     Answered answered;
     std::int64_t until_ns = 0;
     input::PoseSources::Marks asked{};  // what was queued when it was asked for
@@ -59,9 +73,11 @@ class PendingUndos {
   // Whether there is one to be done: the oldest, in now_.
   bool next();
   // Of the one in now_; then it is the next one's turn.
-  void answer(UndoEnd end);
-  // Whether a stroke has begun with a pose that was queued after the one in now_ was asked for.
-  bool begun_since() const;
+  void answer(UndoEnd end, std::uint32_t blade = 0);
+  // The blade that has begun a stroke with a pose that was queued after the one in now_ was asked for.
+  std::optional<std::uint32_t> begun_since() const;
+  // Why what was found is not to be done for the one in now_.
+  std::optional<UndoAnswer> refusal(const Undone& undone) const;
   // Whether all that was queued before it is drained.
   bool drained_before() const;
 

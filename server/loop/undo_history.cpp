@@ -44,7 +44,7 @@ void UndoHistory::note(const JournalRecord& record, const core::CutSession& sess
     now_.t_ns = record.pose.t_ns;
     now_.arrival_ns = record.arrival_ns;
     now_.revision = session.revision();
-    spans_.back().points.push_back({spans_.back().records.size(), now_});
+    spans_.back().points.push_back({spans_.back().records.size(), now_, 0});
     ++strokes_;
     ++now_.strokes;
     changed_ = false;
@@ -62,7 +62,11 @@ void UndoHistory::note(const JournalRecord& record, const core::CutSession& sess
 void UndoHistory::note(const core::Delta& delta) {
   now_.cut_faces += delta.cut_faces;
   now_.cut_area_m2 += delta.cut_area;
-  if (delta.has_cut()) changed_ = true;
+  if (!delta.has_cut()) return;
+  changed_ = true;
+  const auto last =
+      std::find_if(spans_.rbegin(), spans_.rend(), [](const Span& s) { return !s.points.empty(); });
+  if (last != spans_.rend()) last->points.back().cut |= 1u << delta.source;
 }
 
 void UndoHistory::clear() {
@@ -128,6 +132,17 @@ const BeforeStroke* UndoHistory::last() const {
     }
   }
   return nullptr;
+}
+
+std::uint32_t UndoHistory::cut_since(const BeforeStroke& stroke) const {
+  std::uint32_t sources = 0;
+  for (auto span = spans_.rbegin(); span != spans_.rend(); ++span) {
+    for (auto point = span->points.rbegin(); point != span->points.rend(); ++point) {
+      sources |= point->cut;
+      if (same(point->before, stroke)) return sources;
+    }
+  }
+  return sources;
 }
 
 const UndoHistory::Span* UndoHistory::span_of(const BeforeStroke& stroke, std::size_t& point) const {

@@ -26,6 +26,7 @@ struct BeforeStroke {
 struct Undone {
   std::uint64_t request = 0;
   BeforeStroke before;
+  std::uint32_t cut_since = 0;  // bit i: source i has cut something since
   std::unique_ptr<core::CutSession> session;
   std::vector<core::HalfFace> cuts;  // all cut faces of its mesh
 };
@@ -52,6 +53,8 @@ class UndoHistory {
   std::size_t size() const { return changed_ || strokes_ == 0 ? strokes_ : strokes_ - 1; }
   // The one that is undone first. Null: none.
   const BeforeStroke* last() const;
+  // The sources that have cut something since that stroke began: Undone::cut_since.
+  std::uint32_t cut_since(const BeforeStroke& stroke) const;
   // The session as it was before that stroke; null: there is none. O(mesh).
   std::unique_ptr<core::CutSession> before(const BeforeStroke& stroke, const core::CutConfig& config) const;
   // The session has gone back there.
@@ -61,6 +64,7 @@ class UndoHistory {
   struct Point {
     std::size_t records = 0;  // that lead there from the state
     BeforeStroke before;
+    std::uint32_t cut = 0;  // the sources that have cut something from here to the next point
   };
   struct Span {
     std::vector<std::byte> state;

@@ -167,8 +167,8 @@ bool OperatorLink::end_stroke() {
 }
 
 // In its place among the poses: it is for the strokes before it.
-void OperatorLink::undo(const stream::PeerInput::Later& later) {
-  add({{}, later});
+void OperatorLink::undo(protocol::Undo what, const stream::PeerInput::Later& later) {
+  add({{}, later, what});
 }
 
 void OperatorLink::add(Work work) {
@@ -199,7 +199,7 @@ void OperatorLink::send_waiting() {
     if (next.undo) {
       // What is done is not answered.
       if (undos_.size() >= kMaxUndos) undos_.erase(undos_.begin());
-      undos_[connection_->send(protocol::Undo{})] = next.undo;
+      undos_[connection_->send(next.undone)] = next.undo;
     } else if (next.poses.empty()) {
       connection_->send(protocol::StrokeControl{protocol::StrokeAction::End, last_source_ns});
     } else {

@@ -46,7 +46,7 @@ class OperatorLink final : public std::enable_shared_from_this<OperatorLink>, pr
   // Returns how many poses there was room for.
   std::size_t enqueue(std::span<const protocol::PoseSample> poses);
   bool end_stroke();
-  void undo(const stream::PeerInput::Later& later);
+  void undo(protocol::Undo what, const stream::PeerInput::Later& later);
 
   const std::string& source_name() const { return wanted_.source_name; }
   std::chrono::nanoseconds round_trip() const;
@@ -56,6 +56,7 @@ class OperatorLink final : public std::enable_shared_from_this<OperatorLink>, pr
   struct Work {
     std::vector<protocol::PoseSample> poses;
     stream::PeerInput::Later undo;
+    protocol::Undo undone;
   };
   void add(Work work);
   void connect();

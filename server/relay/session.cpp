@@ -331,6 +331,7 @@ std::shared_ptr<stream::InitialState> Session::initial_state() const {
   initial->epoch = welcome_.session;
   initial->mirror = std::move(mirror);
   initial->origins = documents_.origins();
+  if (welcome_.restart) initial->restart = std::make_shared<const protocol::Restart>(*welcome_.restart);
   auto fields = std::make_shared<std::vector<core::Field>>();
   for (const protocol::Field& field : state_.fields().all()) fields->push_back(core_field(field));
   if (!fields->empty()) initial->fields = std::move(fields);
@@ -448,18 +449,18 @@ bool Session::reset(const Later& later) {
   return true;
 }
 
-std::string Session::undo(std::optional<std::uint32_t> source, const Answer& answer) {
-  if (source) {
+std::string Session::undo(const stream::UndoRequest& request, const Answer& answer) {
+  if (request.source) {
     const std::scoped_lock lock(mutex_);
     for (const auto& weak : links_) {
       const auto link = weak.lock();
-      if (!link || link->opening() || link->ended() || link->number() != *source) continue;
-      link->undo(while_served(answer));
+      if (!link || link->opening() || link->ended() || link->number() != *request.source) continue;
+      link->undo({request.others}, while_served(answer));
       return {};
     }
   }
   const std::optional<Origin> where = origin();
-  if (source || !where) return "there is no connection to the server that cuts";
+  if (request.source || !where) return "there is no connection to the server that cuts";
   asio::post(io_, [this, origin = *where, later = while_served(answer)] {
     ask_origin(io_, origin, protocol::Undo{}, later);
   });

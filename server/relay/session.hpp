@@ -87,7 +87,7 @@ class Session final : private Upstream::Sink, private stream::PeerInput {
                                                const std::optional<protocol::BladeEdge>& blade) override;
   std::string no_simulators() const override;
   bool reset(const Later& later) override;
-  std::string undo(std::optional<std::uint32_t> source, const Answer& answer) override;
+  std::string undo(const stream::UndoRequest& request, const Answer& answer) override;
   std::unique_ptr<stream::PoseInput> open_link(OperatorLink::Wanted wanted);
   Later while_served(const Later& later) const;
 

@@ -52,6 +52,10 @@ std::string Peer::described() const {
   return quoted(client_name_) + " at " + address_;
 }
 
+std::string Peer::with_blade() const {
+  return blade_.held() ? described() + ", blade " + quoted(blade_.source_name()) : described();
+}
+
 std::size_t Peer::accepted_bytes() const {
   if (stage_ == Stage::kHandshake) return protocol::kMaxHandshakeBytes;
   return role_ == Role::Simulator ? protocol::kMaxSimulatorBytes : protocol::kMaxClientBytes;
@@ -134,8 +138,8 @@ asio::awaitable<void> Peer::dispatch(protocol::Message message) {
     follower_.resync();
   } else if (std::holds_alternative<protocol::Reset>(body)) {
     on_reset(sequence);
-  } else if (std::holds_alternative<protocol::Undo>(body)) {
-    on_undo(sequence);
+  } else if (const auto* undo = std::get_if<protocol::Undo>(&body)) {
+    on_undo(*undo, sequence);
   } else if (std::holds_alternative<protocol::Bye>(body)) {
     finish(ByeReason::Done, "");
   } else if (const auto* replay = std::get_if<protocol::ReplayControl>(&body)) {
@@ -253,7 +257,7 @@ void Peer::complain_to(const std::weak_ptr<Peer>& peer, const Refusal& refusal, 
 // Who asked may have gone by then: what was done is counted and logged all the same.
 PeerInput::Answer Peer::answer_undo(std::uint64_t sequence) {
   return [weak = weak_from_this(), &context = context_, sequence, address = ticket_.address().address(),
-          who = described()](std::optional<Refusal> refusal) {
+          who = with_blade()](std::optional<Refusal> refusal) {
     asio::post(context.io, [weak, &context, sequence, address, who, refusal = std::move(refusal)] {
       if (refusal) {
         context.audit(Audit::kReset, address,
@@ -274,22 +278,26 @@ void Peer::on_reset(std::uint64_t sequence) {
     outbox_.complain(ErrorCode::NotAvailable, "Reset: this server does not offer it", sequence);
   } else {
     ++context_.counters->resets;
+    context_.reset_by = client_name_;
     context_.audit(Audit::kReset, ticket_.address().address(),
                    "a reset of the mesh is asked for by " + described());
   }
 }
 
-void Peer::on_undo(std::uint64_t sequence) {
+void Peer::on_undo(const protocol::Undo& undo, std::uint64_t sequence) {
   if (role_ != Role::Admin && !blade_.held()) {
     outbox_.complain(ErrorCode::Forbidden, "Undo: only operators and admins may", sequence);
     return;
   }
-  std::optional<std::uint32_t> source;
-  if (role_ != Role::Admin) source = blade_.input()->number();
-  if (const std::string refusal = context_.input.undo(source, answer_undo(sequence)); !refusal.empty()) {
+  UndoRequest request{std::nullopt, undo.others, client_name_};
+  if (role_ != Role::Admin) {
+    request.source = blade_.input()->number();
+    request.by = blade_.source_name();
+  }
+  if (const std::string refusal = context_.input.undo(request, answer_undo(sequence)); !refusal.empty()) {
     outbox_.complain(ErrorCode::NotAvailable, "Undo: " + refusal, sequence);
   } else {
-    context_.audit(Audit::kReset, ticket_.address().address(), "an undo is asked for by " + described());
+    context_.audit(Audit::kReset, ticket_.address().address(), "an undo is asked for by " + with_blade());
   }
 }
 

@@ -102,7 +102,7 @@ class Peer final : public std::enable_shared_from_this<Peer>,
   static void complain_to(const std::weak_ptr<Peer>& peer, const Refusal& refusal, std::uint64_t sequence);
   PeerInput::Answer answer_undo(std::uint64_t sequence);
   void on_reset(std::uint64_t sequence);
-  void on_undo(std::uint64_t sequence);
+  void on_undo(const protocol::Undo& undo, std::uint64_t sequence);
   void on_replay(const protocol::ReplayControl& control, std::uint64_t sequence);
 
   // peer_handshake.cpp: Hello to Welcome
@@ -139,6 +139,7 @@ class Peer final : public std::enable_shared_from_this<Peer>,
   std::string described() const;  // in the log
 
   PeerContext& context_;
+  std::string with_blade() const;
   PeerDirectory& others_;
   std::unique_ptr<Transport> transport_;
   Ticket ticket_;

@@ -39,6 +39,7 @@ protocol::Welcome PeerContext::welcome_to(const Feed& feed) const {
   // A replay may be of another body.
   if (mirror.surface().finds_origins()) welcome.surface = facts.surface;
   welcome.fields = feed.fields();
+  if (&feed == &live) welcome.restart = restart;
   return welcome;
 }
 

@@ -2,6 +2,7 @@
 
 #include <boost/asio/io_context.hpp>
 #include <memory>
+#include <optional>
 #include <string>
 
 #include "server/stream/access.hpp"
@@ -42,7 +43,9 @@ struct PeerContext {
   Access access;
   Feed live;
   BoxTurns box_turns;
-  RecordingNow recording;  // as of the last tick
+  RecordingNow recording;                    // as of the last tick
+  std::string reset_by;                      // the client that has asked for a reset last
+  std::optional<protocol::Restart> restart;  // what the live feed's present ids began with
 };
 
 }  // namespace incise::stream

@@ -40,6 +40,13 @@ struct BladeEnd {
 };
 
 // A blade that an operator holds. Destroying it ends the running stroke and frees the blade.
+// An undo that is asked for: by the operator of blade `source`, whose stroke it has to be, or without one by an admin.
+struct UndoRequest {
+  std::optional<std::uint32_t> source;
+  bool others = false;  // also where other blades have cut since that stroke began
+  std::string by;       // Restart::by
+};
+
 //
 // Thread: the stream thread.
 class PoseInput {
@@ -105,10 +112,10 @@ class PeerInput {
     static_cast<void>(later);
     return false;
   }
-  // Asks for the state before the last stroke: for the blade of `source`, whose stroke it has to be, or without one for an admin. Server::
-  // publish_reset() follows when it is done. Empty and an answer later, or why it cannot be.
-  virtual std::string undo(std::optional<std::uint32_t> source, const Answer& answer) {
-    static_cast<void>(source), static_cast<void>(answer);
+  // Asks for the state before the last stroke. Server::publish_reset() follows when it is done. Empty and an answer later, or why it
+  // cannot be.
+  virtual std::string undo(const UndoRequest& request, const Answer& answer) {
+    static_cast<void>(request), static_cast<void>(answer);
     return "this server does not offer it";
   }
 };

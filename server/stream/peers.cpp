@@ -30,8 +30,14 @@ void Peers::reset(std::shared_ptr<const InitialState> initial) {
   const bool same_ids = live.mirror().epoch() == epoch && live.mirror().revision() >= revision;
   counters.revision = live.mirror().revision();
   counters.state_hash = live.mirror().volume().state_hash();
+  const std::shared_ptr<const protocol::Restart> restart = initial->restart;
   counters.ring_bytes = counters.ring_deltas = 0;
   if (FeedListener* listener = context_.providers.listener)
+  if (live.mirror().epoch() != epoch) {
+    context_.restart = restart ? std::optional(*restart) : std::nullopt;
+    if (restart && restart->kind == protocol::RestartKind::Reset && restart->by.empty())
+      context_.restart->by = context_.reset_by;
+  }
     listener->on_epoch(live.mirror().epoch(), live.mirror().revision());
   const auto peers = peers_;
   for (const auto& peer : peers) peer->on_live_reset(same_ids);

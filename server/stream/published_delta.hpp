@@ -11,7 +11,8 @@
 
 namespace incise::protocol {
 class OriginTree;
-}
+struct Restart;
+}  // namespace incise::protocol
 
 namespace incise::stream {
 
@@ -44,6 +45,8 @@ struct InitialState {
   std::shared_ptr<const Mirror> mirror;  // not null: the state is this one's, and the rest is empty
   std::shared_ptr<const protocol::OriginTree> origins;     // null: the body was not filled from a surface
   std::shared_ptr<const std::vector<core::Field>> fields;  // null: it has none; a row for each id
+  // Null: nobody asked for it. Of a reset `by` may be empty: who asked the stream for it last.
+  std::shared_ptr<const protocol::Restart> restart;
 };
 
 }  // namespace incise::stream

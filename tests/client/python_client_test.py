@@ -19,7 +19,7 @@ import numpy as np
 
 import incise_client
 from incise.wire import (BladeLoad, Body, Delta, Error, ErrorCode, Force, Hello, LocalContact, Message, Ping, Pong, PoseBatch, Positions, Recording, Role,
-                         SnapshotBegin, SnapshotChunk, SnapshotEnd, SurfaceDelta, Vec3, View)
+                         SnapshotBegin, SnapshotChunk, SnapshotEnd, SurfaceDelta, Undo, Vec3, View)
 
 VECTORS = pathlib.Path(os.environ["INCISE_SOURCE_DIR"]) / "protocol" / "vectors"
 
@@ -368,9 +368,15 @@ class Session(unittest.TestCase):
         with incise_client.connect("127.0.0.1", port, role=Role.Role.Admin) as client:
             client.reset()
             client.undo()
+            client.undo(others=True)
         self.thread.join()
-        kinds = [Message.Message.GetRootAs(data, 0).BodyType() for data in self.received]
-        self.assertEqual([kind for kind in kinds if kind], [Body.Body.Hello, Body.Body.Reset, Body.Body.Undo, Body.Body.Bye])
+        messages = [Message.Message.GetRootAs(data, 0) for data in self.received]
+        self.assertEqual([message.BodyType() for message in messages if message.BodyType()],
+                         [Body.Body.Hello, Body.Body.Reset, Body.Body.Undo, Body.Body.Undo, Body.Body.Bye])
+        undos = [Undo.Undo() for message in messages if message.BodyType() == Body.Body.Undo]
+        for undo, message in zip(undos, [message for message in messages if message.BodyType() == Body.Body.Undo]):
+            undo.Init(message.Body().Bytes, message.Body().Pos)
+        self.assertEqual([undo.Others() for undo in undos], [False, True])
 
     def test_after_an_undo_it_waits_for_the_state_of_the_new_session(self):
         volume = [struct.pack("<I", len(body)) + body for body in split((VECTORS / "streams" / "volume.bin").read_bytes())]

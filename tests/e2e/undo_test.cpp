@@ -29,11 +29,13 @@ struct Hand {
     };
     link = client::Client::connect("127.0.0.1", session.tcp_port(), options, callbacks);
   }
-  void cut(double x) { EXPECT_TRUE(link->wait_for_report(send_cut(x), 60)); }
-  // Lifts the blade at the end. Returns the number of the message.
-  std::uint64_t send_cut(double x) {
+  void cut(double x, double from = 0, double to = 1) {
+    EXPECT_TRUE(link->wait_for_report(send_cut(x, from, to), 60));
+  }
+  // From a part of the way to another. Lifts the blade at the end of the way. Returns the number of the message.
+  std::uint64_t send_cut(double x, double from = 0, double to = 1) {
     std::vector<protocol::PoseSample> poses;
-    for (int i = 0; i <= 200; ++i) {
+    for (int i = static_cast<int>(200 * from); i <= static_cast<int>(200 * to); ++i) {
       const double s = i / 200.0;
       poses.push_back(
           {clock_ns += 4'000'000,
@@ -45,9 +47,9 @@ struct Hand {
     return link->send_poses(poses);
   }
   // What it says to Undo; empty: it is done.
-  std::string undo(const client::Client& viewer) {
+  std::string undo(const client::Client& viewer, bool others = false) {
     const std::uint64_t epoch = viewer.welcome().session;
-    link->undo();
+    link->undo(others);
     std::string said;
     EXPECT_TRUE(wait_for([&] {
       const std::scoped_lock lock(mutex);
@@ -97,7 +99,7 @@ TEST(Recovery, WhatWasUndoneStaysUndone) {
       }
       Hand other(session, "another");
       EXPECT_EQ(other.undo(*viewer),
-                "Undo: the last stroke is that of another blade: its operator or an admin may undo it");
+                "Undo: the last stroke is that of blade \"blade\": its operator or an admin may undo it");
       EXPECT_EQ(hand.undo(*viewer), "");
       EXPECT_EQ(settled(session, *viewer), before[2]);
       EXPECT_EQ(hand.undo(*viewer), "");
@@ -126,6 +128,55 @@ TEST(Recovery, WhatWasUndoneStaysUndone) {
     session.kill();
     ASSERT_TRUE(session.start(true)) << session.log();
     EXPECT_EQ(what_the_server_has(session), before[1]) << session.log();
+  }
+}
+
+// Two hands at once: neither takes back what the other has done since, neither waits for the other, and everybody is told who undid what.
+TEST(Recovery, OneHandDoesNotUndoWhatTheOtherHasCutSince) {
+  ServedSession session("undo_two", 4000, "");
+  ASSERT_TRUE(session.start(false)) << session.log();
+  const auto viewer = client::Client::connect("127.0.0.1", session.tcp_port());
+  ASSERT_TRUE(viewer->wait_for_revision(0, 60));
+  EXPECT_FALSE(viewer->welcome().restart);
+  const Held before = held(*viewer);
+  Hand left(session, "left"), right(session, "right");
+  left.cut(0.3, 0, 0.5);
+  EXPECT_EQ(right.undo(*viewer),
+            "Undo: blade \"left\" is in a stroke, so nothing was undone: ask again when it is lifted");
+  right.cut(0.7);
+  const Held one = settled(session, *viewer);
+  left.cut(0.3, 0.5, 1);
+  const Held both = settled(session, *viewer);
+  ASSERT_GT(both.revision, one.revision);
+  EXPECT_EQ(
+      right.undo(*viewer),
+      "Undo: blade \"left\" has cut since your last stroke began, and that would be undone, too: ask for "
+      "both with Undo.others (on the page: Shift and a click on Undo), or leave it");
+  EXPECT_EQ(settled(session, *viewer), both);
+  EXPECT_EQ(left.undo(*viewer),
+            "Undo: the last stroke is that of blade \"right\": its operator or an admin may undo it");
+  EXPECT_EQ(right.undo(*viewer, true), "");
+  const Held left_half = settled(session, *viewer);
+  EXPECT_LT(left_half.revision, both.revision);
+  EXPECT_EQ(viewer->welcome().restart,
+            (protocol::Restart{protocol::RestartKind::Undo, protocol::Role::Operator, "right", 1, "right"}));
+  EXPECT_TRUE(wait_for([&] { return left.link->welcome().restart.has_value(); })) << "the other hand, too";
+  EXPECT_EQ(left.undo(*viewer), "");
+  EXPECT_EQ(settled(session, *viewer), before);
+  right.cut(0.5);
+  settled(session, *viewer);
+  {
+    client::Options options;
+    options.role = protocol::Role::Admin;
+    options.view = protocol::View::None;
+    options.client_name = "ward 3";
+    const auto admin = client::Client::connect("127.0.0.1", session.tcp_port(), options);
+    EXPECT_EQ(admin->welcome().restart, viewer->welcome().restart) << "who joins later may ask, too";
+    admin->reset();
+    EXPECT_TRUE(wait_for([&] {
+      return viewer->welcome().restart ==
+             protocol::Restart{protocol::RestartKind::Reset, protocol::Role::Admin, "ward 3", 0, ""};
+    }));
   }
 }
 

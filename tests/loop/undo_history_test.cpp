@@ -241,8 +241,11 @@ class UndoLoop : public ::testing::Test {
     return frames_until(
         [&] { return checkpointer_->undoable().strokes == strokes && state().backlog_batches == 0; });
   }
-  bool ask(std::optional<std::uint32_t> source = std::nullopt) {
-    return loop_->request_undo(source, [this](UndoEnd end) { answers_.push_back(end); });
+  bool ask(std::optional<std::uint32_t> source = std::nullopt, bool others = false) {
+    return loop_->request_undo({source, others}, [this](UndoAnswer answer) {
+      answers_.push_back(answer.end);
+      in_the_way_ = answer.blade;
+    });
   }
   // Half of a stroke: the blade is still in it.
   void cut_halfway(double x, input::PoseSource& source) {
@@ -262,6 +265,7 @@ class UndoLoop : public ::testing::Test {
   std::unique_ptr<Undone> undone_;
   std::uint64_t undos_ = 0;
   std::vector<UndoEnd> answers_;
+  std::uint32_t in_the_way_ = 99;  // of the last answer
   std::filesystem::path folder_ =
       std::filesystem::temp_directory_path() / ("incise_undo_" + std::to_string(::getpid()));
   Checkpointer* checkpointer_ = nullptr;
@@ -304,14 +308,14 @@ TEST_F(UndoLoop, GoesBackAndCutsOnAndTwoAtOnceAreTwo) {
                                    UndoEnd::kNoStroke}));
 }
 
-// Asked for in the middle of a stroke: it waits for the stroke's end, and undoes that one.
+// Asked for in the middle of the asker's stroke: it waits for the stroke's end, and undoes that one.
 TEST_F(UndoLoop, WaitsForTheStrokeToEnd) {
   cut(0.5);
   ASSERT_TRUE(caught_up(1));
   const LoopState one = state();
   const auto poses = tests::sweep_through(150, 1000, 0.2, 0.1, clock_ns_);
   for (std::size_t i = 0; i < poses.size(); ++i) {
-    if (i == 75) ask();
+    if (i == 75) ask(source_->number());
     send(poses[i]);
   }
   EXPECT_EQ(undos_, 0u);
@@ -327,10 +331,11 @@ TEST_F(UndoLoop, IsGivenUpWhereTheStrokeDoesNotEnd) {
   ASSERT_TRUE(caught_up(1));
   cut_halfway(0.2, *source_);
   const std::uint64_t hash = state().state_hash;
-  ask();
+  ask(source_->number());
   ask(source_->number());
   ASSERT_TRUE(frames_until([&] { return answers_.size() == 2; }));
   EXPECT_EQ(answers_, (std::vector{UndoEnd::kInStroke, UndoEnd::kInStroke}));
+  EXPECT_EQ(in_the_way_, source_->number());
   EXPECT_EQ(undos_, 0u);
   EXPECT_EQ(state().state_hash, hash);
   lift();
@@ -346,7 +351,7 @@ TEST_F(UndoLoop, AResetThatOvertakesItIsItsAnswer) {
   cut(0.5);
   ASSERT_TRUE(caught_up(1));
   cut_halfway(0.2, *source_);
-  ask();
+  ask(source_->number());
   ask();
   loop_->frame(monotonic_ns());
   EXPECT_TRUE(loop_->request_reset());
@@ -356,19 +361,65 @@ TEST_F(UndoLoop, AResetThatOvertakesItIsItsAnswer) {
   EXPECT_EQ(state().revision, 0u);
 }
 
-// An operator may undo its own strokes only, also where another's begins while it waits.
-TEST_F(UndoLoop, AnotherBladesStrokeThatEndsMeanwhileIsNotUndone) {
+// Nobody waits for another's stroke: the answer comes at once and names the blade.
+TEST_F(UndoLoop, AnotherBladesStrokeIsNotWaitedFor) {
   auto other = sources_.open("another");
   cut(0.5);
   ASSERT_TRUE(caught_up(1));
   cut_halfway(0.2, *other);
+  for (const auto asker : {std::optional(source_->number()), std::optional<std::uint32_t>()}) {
+    ask(asker);
+    loop_->frame(monotonic_ns());
+    ASSERT_EQ(answers_, std::vector{UndoEnd::kInStroke});
+    EXPECT_EQ(in_the_way_, other->number());
+    answers_.clear();
+  }
+  // An operator may undo its own strokes only.
+  other->end_stroke(monotonic_ns());
   ask(source_->number());
+  ASSERT_TRUE(frames_until([&] { return answers_.size() == 1; }));
+  EXPECT_EQ(in_the_way_, other->number());
   ask(other->number());
   ask(source_->number());
-  other->end_stroke(monotonic_ns());
   ASSERT_TRUE(frames_until([&] { return answers_.size() == 3; }));
   EXPECT_EQ(answers_, (std::vector{UndoEnd::kOtherBlade, UndoEnd::kDone, UndoEnd::kDone}));
+  EXPECT_EQ(in_the_way_, source_->number()) << "whose stroke it was";
   EXPECT_EQ(state().revision, 0u);
+}
+
+// What another blade has cut since the stroke began is taken back only where that was asked for.
+TEST_F(UndoLoop, WhatAnotherBladeHasCutSinceIsLeftUnlessAskedFor) {
+  auto other = sources_.open("another");
+  const auto idle = [&] { return state().backlog_batches == 0; };
+  cut_halfway(0.2, *other);
+  ASSERT_TRUE(other->end_stroke(monotonic_ns()));
+  ASSERT_TRUE(caught_up(1));
+  const LoopState before = state();
+  cut(0.5);
+  ASSERT_TRUE(caught_up(2));
+  ask(source_->number());
+  ASSERT_TRUE(frames_until([&] { return answers_.size() == 1; }));
+  EXPECT_EQ(answers_[0], UndoEnd::kDone) << "what the other one cut before does not matter";
+  EXPECT_EQ(state().state_hash, before.state_hash);
+
+  const auto theirs = tests::sweep_through(150, 1000, 0.8, 0.1, clock_ns_);
+  for (std::size_t i = 0; i < 75; ++i) send(theirs[i], *other);
+  ASSERT_TRUE(frames_until(idle));
+  cut(0.5);
+  for (std::size_t i = 75; i < theirs.size(); ++i) send(theirs[i], *other);
+  ASSERT_TRUE(other->end_stroke(monotonic_ns()));
+  ASSERT_TRUE(caught_up(3));
+  const LoopState both = state();
+  ask(source_->number());
+  ASSERT_TRUE(frames_until([&] { return answers_.size() == 2; }));
+  EXPECT_EQ(answers_[1], UndoEnd::kOtherCut);
+  EXPECT_EQ(in_the_way_, other->number());
+  EXPECT_EQ(state().state_hash, both.state_hash);
+  ask(source_->number(), true);
+  ASSERT_TRUE(frames_until([&] { return answers_.size() == 3; }));
+  EXPECT_EQ(answers_[2], UndoEnd::kDone);
+  EXPECT_GT(state().revision, before.revision) << "what the other one had cut when the stroke began is left";
+  EXPECT_LT(state().revision, both.revision);
 }
 
 // Who goes on cutting at once does not lose that stroke instead of the one before.

@@ -290,7 +290,7 @@ TEST(RelayOperator, UndoAndResetReachTheOriginAndItsRefusalsComeBack) {
   other.link->undo();
   EXPECT_TRUE(wait_for([&] { return !other.said().empty(); }));
   EXPECT_EQ(other.said(),
-            "Undo: the last stroke is that of another blade: its operator or an admin may undo it");
+            "Undo: the last stroke is that of blade \"blade\": its operator or an admin may undo it");
   const std::uint64_t epoch = viewer.client().welcome().session;
   hand.link->undo();
   EXPECT_TRUE(wait_for([&] { return viewer.client().welcome().session != epoch; })) << hand.said();
@@ -361,7 +361,8 @@ TEST(RelayOperator, AStrokeBehindAnUndoStays) {
   EXPECT_TRUE(wait_for(is_answered));
   EXPECT_NE(served.settled(viewer.client()).hash, before.hash) << "it is the last stroke that was removed";
   if (viewer.client().welcome().session != epoch) return;  // it was done before the stroke began
-  EXPECT_TRUE(hand.said().starts_with("Undo: a stroke has begun since, so nothing was undone"))
+  EXPECT_TRUE(
+      hand.said().starts_with("Undo: a stroke has begun since, of blade \"blade\", so nothing was undone"))
       << hand.said();
 }
 

@@ -272,7 +272,7 @@ bool MiniLoop::reset(const Later& /*later*/) {
   return reset_ = true;
 }
 
-std::string MiniLoop::undo(std::optional<std::uint32_t> /*source*/, const Answer& answer) {
+std::string MiniLoop::undo(const UndoRequest& /*request*/, const Answer& answer) {
   const std::scoped_lock lock(mutex_);
   undos_.push_back(answer);
   return {};

@@ -55,7 +55,7 @@ class MiniLoop final : public PeerInput {
   bool is_held(std::string_view source_name) const override;
   bool reset(const Later& later) override;
   // Is neither done nor refused until a test answers.
-  std::string undo(std::optional<std::uint32_t> source, const Answer& answer) override;
+  std::string undo(const UndoRequest& request, const Answer& answer) override;
   std::vector<Answer> asked_undos() const;
 
   std::uint64_t revision() const { return revision_; }

@@ -512,11 +512,12 @@ class Client:
         """For role Admin: puts the body back as it was loaded, for everybody. A new snapshot comes when it is done; where it cannot be, `error` is set."""
         self._send(Body.Body.Reset, lambda b: _table(b, Reset, []))
 
-    def undo(self) -> None:
+    def undo(self, others: bool = False) -> None:
         """Asks for the state before the last stroke that cut something, for everybody: operators who hold a blade may undo their own strokes, admins any.
+        It is refused while another blade is in a stroke, and to an operator where another blade has cut since its stroke began: with ``others`` that is undone, too.
         Strokes from before the server's start stay. A new snapshot comes when it is done; where it cannot be, `error` is set, and `error.Text()` says why. Begin the next stroke afterwards:
         where one begins before it is done, nothing is undone."""
-        self._send(Body.Body.Undo, lambda b: _table(b, Undo, []))
+        self._send(Body.Body.Undo, lambda b: _table(b, Undo, [("Others", others)]))
 
     def _send_hello(self, role: int, view: int, token: str, source_name: str, take_over: bool, blade: Any,
                     max_rate_hz: float, box: Any, session: int, load_rate_hz: float, fields: Sequence[str]) -> None:

@@ -68,9 +68,9 @@ export class Blade {
     this.link?.wake();
   }
 
-  /** Asks for the state before the last stroke. False: there is no connection. */
-  undo(): boolean {
-    return (this.link?.send(Body.Undo, (b) => Undo.createUndo(b)) ?? 0n) > 0n;
+  /** Asks for the state before the last stroke, also where other blades have cut since. False: there is no connection. */
+  undo(others: boolean): boolean {
+    return (this.link?.send(Body.Undo, (b) => Undo.createUndo(b, others)) ?? 0n) > 0n;
   }
 
   /** 9 numbers a pose: time in ms, position, quaternion w x y z, buttons. */

@@ -77,8 +77,8 @@ export type ToWorker =
   /** Poses: 9 numbers each: time in ms (absolute), position, quaternion w x y z, buttons. */
   | { kind: "poses"; poses: Float64Array }
   | { kind: "reset" }
-  /** Back to before the last stroke. */
-  | { kind: "undo" }
+  /** Back to before the last stroke; `others`: also where other blades have cut since. */
+  | { kind: "undo"; others: boolean }
   /** Asks for the area of the cut that this half-face is a face of. */
   | { kind: "cut-area"; halfFace: number }
   | { kind: "colour-by-quality"; on: boolean }
@@ -141,8 +141,8 @@ export type FromWorker =
   | { kind: "deforms" }
   /** The state here differs from the server's; a geometry follows. */
   | { kind: "differs" }
-  /** The live body was reset, or a stroke was undone. */
-  | { kind: "was-reset"; revision: number }
+  /** The live body was reset, or a stroke was undone; `by`: who did it, where the server says so. */
+  | { kind: "was-reset"; revision: number; by: string }
   | { kind: "notice"; text: string }
   /** Of a session in this browser: what was asked for, or what was saved of a session that failed. */
   | { kind: "recording"; bytes: Uint8Array<ArrayBuffer>; after: "asked" | "failure" }

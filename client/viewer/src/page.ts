@@ -171,7 +171,7 @@ export class Page {
       case "differs":
         return this.figures.showTrust(false);
       case "was-reset":
-        return this.onReset(message.revision);
+        return this.onReset(message.revision, message.by);
       case "notice":
         notice(message.text);
         return;
@@ -299,14 +299,14 @@ export class Page {
     }
   }
 
-  private onReset(revision: number): void {
+  private onReset(revision: number, by: string): void {
     if (performance.now() - this.resetAsked_ms < kOwnReset_ms) return;
     if (revision > 0) {
-      notice("The last stroke was undone, by its operator or an administrator.");
+      notice(`The last stroke was undone, by ${by || "its operator or an administrator"}.`);
       return;
     }
     notice(
-      "The body was reset for everybody, by an administrator or by the demo, which begins each pass with an " +
+      `The body was reset for everybody, by ${by || "an administrator"}; the demo begins each pass with an ` +
         "uncut body. All cuts are gone.",
     );
   }
@@ -321,11 +321,11 @@ export class Page {
         : "Nothing can be undone: this server keeps no recording";
   }
 
-  /** Where that cannot be, the server says why. */
-  private undo(): void {
+  /** Where that cannot be, the server says why. `others`: also what other blades have cut since. */
+  private undo(others = false): void {
     if (this.replay.facts !== null) return;
     this.resetAsked_ms = performance.now();
-    this.send({ kind: "undo" });
+    this.send({ kind: "undo", others });
   }
 
   private onReplay(facts: ReplayFacts | null): void {
@@ -364,7 +364,7 @@ export class Page {
   private bindButtons(): void {
     element("fit").onclick = () => this.stage.fit();
     this.more.bind("measure", () => this.toggleMeasure());
-    element("undo").onclick = () => this.undo();
+    element("undo").onclick = (e) => this.undo(e.shiftKey);
     element("reset").onclick = () =>
       ask("reset-dialog", (confirmed) => {
         if (!confirmed) return;

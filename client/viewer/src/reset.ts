@@ -18,7 +18,7 @@ export function askAdmin(url: string, token: string, what: "reset" | "undo", pos
       if (asked) return admin.end();
       asked = true;
       if (what === "reset") admin.send(Body.Reset, (b) => Reset.createReset(b));
-      else admin.send(Body.Undo, (b) => Undo.createUndo(b));
+      else admin.send(Body.Undo, (b) => Undo.createUndo(b, true));
       setTimeout(() => admin.end(), kPatience_ms);
     },
     message: () => {},

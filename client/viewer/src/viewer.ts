@@ -45,6 +45,14 @@ function timelineOf(state: ReplayState): Revisions | undefined {
   return { ms: [...ms], sources: [...sources], strokes: [...strokes] };
 }
 
+/** Who has reset the body or undone a stroke; "": the server does not say. */
+function askedBy(welcome: Welcome): string {
+  const restart = welcome.restart();
+  const by = restart?.by();
+  if (!restart || !by) return "";
+  return restart.role() === Role.Operator ? `the operator of blade ${by}` : `administrator ${by}`;
+}
+
 /**
  * The page's view of the session: the connection that brings the state, its replica, and the feed to the page. Thread:
  * the worker's.
@@ -178,7 +186,7 @@ export class Viewer {
     const { session } = this.replica;
     if (!this.replayAsked) {
       if (!this.justConnected && session !== this.liveSession) {
-        this.post({ kind: "was-reset", revision: Number(welcome.revision()) });
+        this.post({ kind: "was-reset", revision: Number(welcome.revision()), by: askedBy(welcome) });
       }
       this.liveSession = session;
     }

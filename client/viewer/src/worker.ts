@@ -45,7 +45,7 @@ class Dispatch {
       case "reset":
         return askAdmin(this.url, this.token, "reset", post);
       case "undo":
-        if (!this.blade.undo()) askAdmin(this.url, this.token, "undo", post);
+        if (!this.blade.undo(message.others)) askAdmin(this.url, this.token, "undo", post);
         return;
       case "cut-area":
         return this.viewer.measureCut(message.halfFace);

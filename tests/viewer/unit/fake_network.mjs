@@ -14,6 +14,7 @@ export const { Body, Builder, ByteBuffer, Bye, ByeReason, ErrorCode, Message, Po
   wire("welcome"),
 );
 const { Error: WireError } = await load(wire("error"));
+const { Restart } = await load(wire("restart"));
 
 // ---- The network and the clock ----
 
@@ -82,10 +83,13 @@ export function message(type, make) {
   Message.finishMessageBuffer(b, Message.endMessage(b));
   return b.asUint8Array();
 }
-export const welcome = (session = 1n) =>
+/** `restart`: [kind, role, by] of who has made these ids start again. */
+export const welcome = (session = 1n, restart = null) =>
   message(Body.Welcome, (b) => {
+    const began = restart && Restart.createRestart(b, restart[0], restart[1], b.createString(restart[2]), 0, 0);
     Welcome.startWelcome(b);
     Welcome.addSession(b, session);
+    if (began) Welcome.addRestart(b, began);
     return Welcome.endWelcome(b);
   });
 export const pong = () => message(Body.Pong, (b) => Pong.createPong(b, 1n, 0n, 0n));

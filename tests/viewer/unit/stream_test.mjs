@@ -70,6 +70,16 @@ test("another session on the same connection is a reset, on a new one it is not"
   assert.equal(said.filter((m) => m.kind === "was-reset").length, 1);
 });
 
+test("the page is told who has reset the body or undone a stroke", () => {
+  const { said } = view();
+  sockets[0].receive(welcome(1n));
+  sockets[0].receive(welcome(2n, [1, Role.Admin, "ward 3"]));
+  sockets[0].receive(welcome(3n, [2, Role.Operator, "left"]));
+  sockets[0].receive(welcome(4n)); // an older server
+  const by = said.filter((m) => m.kind === "was-reset").map((m) => m.by);
+  assert.deepEqual(by, ["administrator ward 3", "the operator of blade left", ""]);
+});
+
 test("the viewer shows the protocol's example to the page", () => {
   const { said } = view();
   const messages = surfaceStream();

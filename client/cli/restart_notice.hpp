@@ -1,0 +1,22 @@
+#pragma once
+
+#include <cstdint>
+#include <string>
+
+#include "protocol/messages.hpp"
+
+namespace incise::client {
+
+// What was undone or reset, and who asked for it: one line.
+std::string restart_text(const protocol::Restart& restart, std::uint64_t revision);
+
+// For Callbacks::on_welcome: a line on stderr where somebody has made the ids start again.
+class RestartNotice {
+ public:
+  void operator()(const protocol::Welcome& welcome);
+
+ private:
+  std::uint64_t session_ = 0;  // 0: none yet
+};
+
+}  // namespace incise::client
