@@ -4,6 +4,7 @@
 #include <istream>
 #include <iterator>
 #include <stdexcept>
+#include <utility>
 
 namespace incise::replay {
 namespace {
@@ -12,6 +13,7 @@ struct RecordReader {
   RecordedMotion& motion;
   const std::string& name;
   const bool from_the_midst;
+  const BeforeResets before_resets;
 
   void operator()(const protocol::PoseRecord& record) {
     check_source(record.source);
@@ -36,7 +38,10 @@ struct RecordReader {
         {MotionEvent::Kind::kOpened, record.source, {}, record.arrival_ns, to_core(record.blade)});
   }
   void operator()(const protocol::BatchMark& record) {
-    if (motion.gap) return;
+    if (motion.gap) {
+      ++motion.marks_behind_gaps;
+      return;
+    }
     motion.marks.push_back(record);
     motion.events_before.push_back(motion.events.size());
   }
@@ -54,6 +59,8 @@ struct RecordReader {
   }
   // A replay is of one session: the one after the last reset.
   void operator()(const protocol::ResetRecord& record) {
+    if (before_resets == BeforeResets::kKeep)
+      motion.earlier.push_back({std::move(motion.events), std::move(motion.marks)});
     motion.events.clear();
     motion.marks.clear();
     motion.events_before.clear();
@@ -87,6 +94,7 @@ struct RecordReader {
     const auto later = [&](const protocol::BatchMark& mark) { return mark.revision > record.revision; };
     for (std::size_t i = motion.marks.size(); i-- > 0;) {
       if (!later(motion.marks[i])) continue;
+      ++motion.marks_undone;
       motion.marks.erase(motion.marks.begin() + static_cast<std::ptrdiff_t>(i));
       motion.events_before.erase(motion.events_before.begin() + static_cast<std::ptrdiff_t>(i));
     }
@@ -112,12 +120,12 @@ struct RecordReader {
 }  // namespace
 
 RecordedMotion read_capture(std::istream& in, const std::string& name, const CaptureStart* start,
-                            IfDamaged if_damaged) {
+                            IfDamaged if_damaged, BeforeResets before_resets) {
   RecordedMotion motion;
   motion.format = "capture";
   protocol::CaptureReader reader(in);
   protocol::CaptureRecord record;
-  RecordReader read{motion, name, start != nullptr};
+  RecordReader read{motion, name, start != nullptr, before_resets};
   motion.session = reader.header().session;
   if (reader.good_bytes() > 0) motion.header = reader.header();
   using Status = protocol::CaptureReader::Status;
@@ -152,7 +160,9 @@ RecordedMotion read_capture(std::istream& in, const std::string& name, const Cap
   if (motion.resets > 0) {
     motion.warnings.push_back(name + ": the mesh was reset " +
                               (motion.resets == 1 ? "once" : std::to_string(motion.resets) + " times") +
-                              "; what came after the last reset is used");
+                              (before_resets == BeforeResets::kKeep
+                                   ? "; what came before each is checked, too"
+                                   : "; what came after the last reset is used"));
   }
   if (motion.undos > 0) {
     motion.warnings.push_back(

@@ -7,15 +7,19 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <cctype>
 #include <cmath>
 #include <csignal>
 #include <cstring>
+#include <fstream>
+#include <functional>
 #include <map>
 #include <nlohmann/json.hpp>
 #include <numbers>
 #include <sstream>
 
+#include "protocol/capture.hpp"
 #include "server/app/capture_journal.hpp"
 #include "server/app/capture_lock.hpp"
 #include "server/app/offline/recorded_motion.hpp"
@@ -1180,12 +1184,94 @@ TEST_F(Incise, ACaptureWhoseStrokesWereAllResetIsVerified) {
   }
   const RunResult result = run({"replay", "a.capture", "--verify"});
   EXPECT_EQ(result.exit_code, 0) << result.out << result.err;
-  EXPECT_NE(result.out.find("verified: all strokes were undone or reset"), std::string::npos) << result.out;
+  const auto marks = std::to_string(motion.marks.size());
+  EXPECT_NE(result.out.find("verified: " + marks + " of " + marks + " batches, " + marks +
+                            " of them before a reset\n"),
+            std::string::npos)
+      << result.out;
   EXPECT_EQ(result.err.find("no batch marks"), std::string::npos) << result.err;
 }
 
 TEST_F(Incise, ATornCaptureIsReplayedUpToItsEndAndACorruptOneRefused) {
   write_cube_and_sweep();
+// What came before a reset is compared as well, and what cannot be is counted and named.
+TEST_F(Incise, AReplayIsVerifiedFromTheStartWhateverWasReset) {
+  write_cube_and_sweep();
+  ASSERT_EQ(run({"convert", "sweep.csv", "--mesh", "cube", "--out", "a.capture"}).exit_code, 0);
+  std::ifstream in(dir_ / "a.capture", std::ios::binary);
+  protocol::CaptureReader reader(in);
+  std::vector<protocol::CaptureRecord> records;
+  for (protocol::CaptureRecord record; reader.next(record) == protocol::CaptureReader::Status::Record;) {
+    if (!std::holds_alternative<protocol::EndRecord>(record)) records.push_back(record);
+  }
+  const auto count = static_cast<int>(std::count_if(records.begin(), records.end(), [](const auto& record) {
+    return std::holds_alternative<protocol::BatchMark>(record);
+  }));
+  ASSERT_GT(count, 3);
+  // The motion, a reset, and the motion again; `change` is done to the marks before the reset.
+  const auto write_twice = [&](const char* name, const std::function<void(protocol::BatchMark&)>& change) {
+    protocol::FileSink sink((dir_ / name).string(), true);
+    protocol::CaptureWriter writer(sink, reader.header());
+    for (protocol::CaptureRecord record : records) {
+      if (auto* mark = std::get_if<protocol::BatchMark>(&record)) change(*mark);
+      writer.append(record);
+    }
+    writer.append(protocol::ResetRecord{12345, 0});
+    for (const protocol::CaptureRecord& record : records) writer.append(record);
+    ASSERT_FALSE(writer.flush());
+  };
+  write_twice("twice.capture", [](protocol::BatchMark&) {});
+  RunResult result = run({"replay", "twice.capture", "--verify"});
+  EXPECT_EQ(result.exit_code, 0) << result.err;
+  const std::string all = std::to_string(2 * count), half = std::to_string(count);
+  EXPECT_NE(
+      result.out.find("verified: " + all + " of " + all + " batches, " + half + " of them before a reset\n"),
+      std::string::npos)
+      << result.out;
+  result = run({"replay", "twice.capture", "--verify", "--json"});
+  const json marks = json::parse(result.out)["marks"];
+  EXPECT_EQ(marks, (json{{"in_capture", 2 * count},
+                         {"compared", 2 * count},
+                         {"compared_before_resets", count},
+                         {"undone", 0},
+                         {"behind_gaps", 0}}));
+  write_twice("wrong.capture",
+              [](protocol::BatchMark& mark) { mark.state_hash ^= mark.revision == 2 ? 1 : 0; });
+  result = run({"replay", "wrong.capture", "--verify"});
+  EXPECT_EQ(result.exit_code, 1);
+  EXPECT_NE(result.err.find("is the first that differs before reset 1: revision 2 was recorded with hash "),
+            std::string::npos)
+      << result.err;
+  EXPECT_EQ(result.out.find("verified"), std::string::npos) << result.out;
+
+  // The last half of the motion is undone.
+  const auto poses = [](const protocol::CaptureRecord& record) {
+    return std::holds_alternative<protocol::PoseRecord>(record);
+  };
+  const auto middle =
+      std::find_if(records.begin() + static_cast<std::ptrdiff_t>(records.size() / 2), records.end(), poses);
+  ASSERT_NE(middle, records.end());
+  std::uint64_t revision = 0;
+  for (auto record = records.begin(); record != middle; ++record)
+    if (const auto* mark = std::get_if<protocol::BatchMark>(&*record)) revision = mark->revision;
+  const auto& pose = std::get<protocol::PoseRecord>(*middle);
+  records.push_back(
+      protocol::UndoRecord{12346, 0, pose.source, pose.pose.source_ns, pose.arrival_ns, revision});
+  {
+    protocol::FileSink sink((dir_ / "undone.capture").string(), true);
+    protocol::CaptureWriter writer(sink, reader.header());
+    for (const protocol::CaptureRecord& record : records) writer.append(record);
+    ASSERT_FALSE(writer.flush());
+  }
+  result = run({"replay", "undone.capture", "--verify"});
+  EXPECT_EQ(result.exit_code, 0) << result.err;
+  EXPECT_NE(result.out.find("verified: " + std::to_string(revision) + " of " + half + " batches; " +
+                            std::to_string(static_cast<std::uint64_t>(count) - revision) +
+                            " were undone, and a replay leaves them out\n"),
+            std::string::npos)
+      << result.out;
+}
+
   ASSERT_EQ(run({"convert", "sweep.csv", "--mesh", "cube", "--out", "a.capture"}).exit_code, 0);
   const std::string whole = tests::read_file(dir_ / "a.capture");
   write("torn.capture", whole.substr(0, whole.size() - 37));

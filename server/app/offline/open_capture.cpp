@@ -24,9 +24,9 @@ void warn_if_not_closed(RecordedMotion& motion, const std::string& name) {
 }
 
 Replayable open_capture(const std::filesystem::path& capture, const std::filesystem::path& mesh,
-                        IfDamaged if_damaged, bool fields) {
+                        IfDamaged if_damaged, bool fields, BeforeResets before_resets) {
   Replayable opened;
-  opened.motion = read_whole_capture(capture, if_damaged);
+  opened.motion = read_whole_capture(capture, if_damaged, before_resets);
   const protocol::CaptureHeader& header = *opened.motion.header;
   opened.config = config_of(header, capture.string());
   warn_if_not_closed(opened.motion, capture.string());

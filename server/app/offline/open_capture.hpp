@@ -22,6 +22,7 @@ void warn_if_not_closed(RecordedMotion& motion, const std::string& name);
 // Reads a capture, and the mesh that it was recorded with: `mesh`, or where the capture says, or beside it. Throws std::runtime_error, also
 // where that is another mesh. `fields`: with the mesh's fields.
 Replayable open_capture(const std::filesystem::path& capture, const std::filesystem::path& mesh,
-                        IfDamaged if_damaged, bool fields = false);
+                        IfDamaged if_damaged, bool fields = false,
+                        BeforeResets before_resets = BeforeResets::kDrop);
 
 }  // namespace incise::app

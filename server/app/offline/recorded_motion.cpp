@@ -44,9 +44,10 @@ std::unique_ptr<std::istream> open_file(const std::string& name) {
 }
 
 RecordedMotion read_capture(std::istream& in, const std::string& name, IfDamaged if_damaged,
-                            const CaptureStart* start = nullptr) {
+                            const CaptureStart* start = nullptr,
+                            BeforeResets before_resets = BeforeResets::kDrop) {
   try {
-    return replay::read_capture(in, name, start, if_damaged);
+    return replay::read_capture(in, name, start, if_damaged, before_resets);
   } catch (const replay::DamagedCapture& damage) {
     refuse_damaged(damage.what());
   }
@@ -88,7 +89,8 @@ RecordedMotion read_recorded_motion(const std::filesystem::path& path, protocol:
   return motion;
 }
 
-RecordedMotion read_whole_capture(const std::filesystem::path& path, IfDamaged if_damaged) {
+RecordedMotion read_whole_capture(const std::filesystem::path& path, IfDamaged if_damaged,
+                                  BeforeResets before_resets) {
   const std::string name = path.string();
   const std::unique_ptr<std::istream> in = open_file(name);
   if (!is_capture(*in)) {
@@ -96,7 +98,7 @@ RecordedMotion read_whole_capture(const std::filesystem::path& path, IfDamaged i
                              ": is not a capture; incised records one (capture.path), and incise convert "
                              "makes one of a motion");
   }
-  return read_capture(*in, name, if_damaged);
+  return read_capture(*in, name, if_damaged, nullptr, before_resets);
 }
 
 std::optional<RecordedMotion> read_capture_from(const std::filesystem::path& path,

@@ -14,6 +14,7 @@
 
 namespace incise::app {
 
+using replay::BeforeResets;
 using replay::CaptureStart;
 using replay::IfDamaged;
 using replay::MotionEvent;
@@ -27,7 +28,8 @@ RecordedMotion read_recorded_motion(const std::filesystem::path& path,
                                     protocol::Times times = protocol::Times::kSkip,
                                     IfDamaged if_damaged = IfDamaged::kRefuse);
 // The same for a capture; throws if it is not one.
-RecordedMotion read_whole_capture(const std::filesystem::path& path, IfDamaged if_damaged);
+RecordedMotion read_whole_capture(const std::filesystem::path& path, IfDamaged if_damaged,
+                                  BeforeResets before_resets = BeforeResets::kDrop);
 
 // The rest of a capture after that place; nothing if there is no such record. The cost does not depend on what lies
 // before it. Throws std::runtime_error.

@@ -28,14 +28,13 @@ namespace {
 using Json = nlohmann::ordered_json;
 
 // Replays the events, and calls `committed` after each batch until it returns false.
-void replay(core::CutSession& session, const Replayable& opened,
+void replay(core::CutSession& session, const std::vector<MotionEvent>& events, const Config& config,
             const std::function<bool(const core::Delta&)>& committed) {
   core::Delta delta;
   core::WorkBudget budget = core::WorkBudget::unlimited();
   Progress progress("replaying");
-  const auto& events = opened.motion.events;
   for (std::size_t i = 0; i <= events.size(); ++i) {
-    if (i < events.size()) apply(session, events[i], opened.config);
+    if (i < events.size()) apply(session, events[i], config);
     while (session.advance(budget, delta) == core::CutSession::Progress::kCommitted) {
       if (!committed(delta)) return;
     }
@@ -43,81 +42,143 @@ void replay(core::CutSession& session, const Replayable& opened,
   }
 }
 
+// What a replay says of the marks of one run: of what was cut from a reset, or the start, to the next reset or the end.
+struct Comparison {
+  std::uint64_t compared = 0;
+  Json difference;                        // the first; null: none
+  std::optional<std::uint64_t> short_of;  // the last mark's revision, to which the replay did not come
+  bool same() const { return difference.is_null() && !short_of; }
+};
+
+Comparison compare(core::CutSession& session, const std::vector<MotionEvent>& events,
+                   const std::vector<protocol::BatchMark>& batch_marks, const Config& config, bool go_on) {
+  std::map<std::uint64_t, protocol::BatchMark> marks;
+  for (const protocol::BatchMark& mark : batch_marks) marks[mark.revision] = mark;
+  Comparison found;
+  replay(session, events, config, [&](const core::Delta& delta) {
+    const auto mark = marks.find(delta.revision);
+    if (mark == marks.end()) return true;
+    ++found.compared;
+    if (mark->second.state_hash == delta.state_hash) return true;
+    if (found.difference.is_null()) {
+      found.difference = {{"revision", delta.revision},
+                          {"source", delta.source},
+                          {"stroke", delta.stroke},
+                          {"batch", delta.batch},
+                          {"recorded_hash", hex(mark->second.state_hash)},
+                          {"replayed_hash", hex(delta.state_hash)}};
+    }
+    return go_on;
+  });
+  if (found.difference.is_null() && !marks.empty() && session.revision() < marks.rbegin()->first)
+    found.short_of = marks.rbegin()->first;
+  return found;
+}
+
+// On stderr. `where`: of which run it is, or empty.
+void print_trouble(const std::string& capture, const std::string& where, const Comparison& found,
+                   std::uint64_t revision) {
+  if (const Json& difference = found.difference; !difference.is_null()) {
+    std::fprintf(stderr,
+                 "%s: batch %u of stroke %u of source %u is the first that differs%s: revision %" PRIu64
+                 " was recorded with hash %s and replays with %s\n",
+                 capture.c_str(), difference["batch"].get<unsigned>(), difference["stroke"].get<unsigned>(),
+                 difference["source"].get<unsigned>(), where.c_str(),
+                 difference["revision"].get<std::uint64_t>(),
+                 difference["recorded_hash"].get<std::string>().c_str(),
+                 difference["replayed_hash"].get<std::string>().c_str());
+  } else if (found.short_of) {
+    std::fprintf(stderr,
+                 "%s: the replay ends at revision %" PRIu64 "%s, but a mark is of revision %" PRIu64 "\n",
+                 capture.c_str(), revision, where.c_str(), *found.short_of);
+  }
+}
+
+// How many batches a capture has marks of, and what became of these.
+struct Marks {
+  std::uint64_t compared = 0, before_resets = 0, undone = 0, behind_gaps = 0, all = 0;
+
+  Json json() const {
+    return {{"in_capture", all},
+            {"compared", compared},
+            {"compared_before_resets", before_resets},
+            {"undone", undone},
+            {"behind_gaps", behind_gaps}};
+  }
+  std::string text() const {
+    std::string text = std::to_string(compared) + " of " + std::to_string(all) + " batches";
+    if (before_resets > 0) text += ", " + std::to_string(before_resets) + " of them before a reset";
+    if (undone > 0) text += "; " + std::to_string(undone) + " were undone, and a replay leaves them out";
+    if (behind_gaps > 0)
+      text +=
+          "; " + std::to_string(behind_gaps) + " cannot be compared, since records are missing before them";
+    return text;
+  }
+};
+
 }  // namespace
 
 int run_replay(const ReplayCommand& command) {
-  const Replayable opened = open_capture(command.capture, command.mesh, command.if_damaged);
-  std::map<std::uint64_t, protocol::BatchMark> marks;
-  for (const protocol::BatchMark& mark : opened.motion.marks) marks[mark.revision] = mark;
-
+  const Replayable opened = open_capture(command.capture, command.mesh, command.if_damaged, false,
+                                         command.verify ? BeforeResets::kKeep : BeforeResets::kDrop);
+  const RecordedMotion& motion = opened.motion;
+  Marks marks;
+  marks.undone = motion.marks_undone;
+  marks.behind_gaps = motion.marks_behind_gaps;
+  marks.all = motion.marks.size() + marks.undone + marks.behind_gaps;
+  bool earlier_same = true;
+  for (std::size_t run = 0; run < motion.earlier.size(); ++run) {
+    const RecordedMotion::Run& before = motion.earlier[run];
+    core::CutSession session(opened.body.loaded.mesh, opened.config.cut);
+    const Comparison found = compare(session, before.events, before.marks, opened.config, false);
+    marks.all += before.marks.size();
+    marks.before_resets += found.compared;
+    earlier_same = earlier_same && found.same();
+    print_trouble(command.capture.string(), " before reset " + std::to_string(run + 1), found,
+                  session.revision());
+  }
   core::CutSession session(opened.body.loaded.mesh, opened.config.cut);
-  std::uint64_t compared = 0;
-  Json difference;
-  replay(session, opened, [&](const core::Delta& delta) {
-    const auto mark = marks.find(delta.revision);
-    if (mark == marks.end()) return true;
-    ++compared;
-    if (mark->second.state_hash == delta.state_hash) return true;
-    difference = {{"revision", delta.revision},
-                  {"source", delta.source},
-                  {"stroke", delta.stroke},
-                  {"batch", delta.batch},
-                  {"recorded_hash", hex(mark->second.state_hash)},
-                  {"replayed_hash", hex(delta.state_hash)}};
-    return !command.verify;  // the first one decides
-  });
+  const Comparison found = compare(session, motion.events, motion.marks, opened.config, !command.verify);
+  marks.compared = marks.before_resets + found.compared;
   // All that was cut was undone, or reset: what is left is the body as loaded.
-  const bool nothing_left = session.revision() == 0 && opened.motion.resets + opened.motion.undos > 0;
-  const std::uint64_t last_mark = marks.empty() ? 0 : marks.rbegin()->first;
-  const bool short_of = difference.is_null() && session.revision() < last_mark;
-  const bool verified = difference.is_null() && !short_of && !opened.motion.gap;
+  const bool nothing_left = session.revision() == 0 && motion.resets + motion.undos > 0;
+  const bool nothing_compared = marks.compared == 0 && !nothing_left;
+  const bool verified = found.same() && earlier_same && !motion.gap;
 
   Json result;
   result["capture"] = command.capture.string();
-  result["poses"] = opened.motion.poses();
+  result["poses"] = motion.poses();
   result["batches"] = session.revision();
-  result["compared"] = compared;
-  result["closed"] = opened.motion.closed;
+  result["compared"] = found.compared;
+  if (command.verify) result["marks"] = marks.json();
+  result["closed"] = motion.closed;
   result["state_hash"] = hex(session.mesh().state_hash());
   result["tets"] = session.mesh().live_tets();
   result["verified"] = verified;
-  result["first_difference"] = difference;
-  std::vector<std::string> warnings = opened.motion.warnings;
-  if (compared == 0 && !nothing_left)
+  result["first_difference"] = found.difference;
+  std::vector<std::string> warnings = motion.warnings;
+  if (nothing_compared)
     warnings.push_back(command.capture.string() + ": has no batch marks; nothing was compared");
   result["warnings"] = warnings;
   print_warnings(warnings);
   if (command.json) {
     std::printf("%s\n", result.dump(2).c_str());
   } else {
-    print_row("poses", std::to_string(opened.motion.poses()));
+    print_row("poses", std::to_string(motion.poses()));
     print_row("batches",
-              std::to_string(session.revision()) + ", " + std::to_string(compared) + " with a mark");
+              std::to_string(session.revision()) + ", " + std::to_string(found.compared) + " with a mark");
     print_row("state hash", hex(session.mesh().state_hash()));
   }
-  if (!difference.is_null()) {
-    std::fprintf(stderr,
-                 "%s: batch %u of stroke %u of source %u is the first that differs: revision %" PRIu64
-                 " was recorded with hash %s and replays with %s\n",
-                 command.capture.c_str(), difference["batch"].get<unsigned>(),
-                 difference["stroke"].get<unsigned>(), difference["source"].get<unsigned>(),
-                 difference["revision"].get<std::uint64_t>(),
-                 difference["recorded_hash"].get<std::string>().c_str(),
-                 difference["replayed_hash"].get<std::string>().c_str());
-  } else if (short_of) {
-    std::fprintf(stderr,
-                 "%s: the replay ends at revision %" PRIu64 ", but a mark is of revision %" PRIu64 "\n",
-                 command.capture.c_str(), session.revision(), last_mark);
-  }
-  if (opened.motion.gap)
+  print_trouble(command.capture.string(), "", found, session.revision());
+  if (motion.gap)
     std::fprintf(stderr, "%s: has a gap; revisions after %" PRIu64 " cannot be verified\n",
                  command.capture.c_str(), session.revision());
-  if (command.verify && verified && !command.json && (compared > 0 || nothing_left)) {
-    std::printf(compared > 0
-                    ? "verified: every recorded hash is the replayed one\n"
-                    : "verified: all strokes were undone or reset; what is left is the body as loaded\n");
+  if (command.verify && verified && !command.json && !nothing_compared) {
+    std::printf("verified: %s\n",
+                marks.compared > 0 ? marks.text().c_str()
+                                   : "all strokes were undone or reset; what is left is the body as loaded");
   }
-  return command.verify && (!verified || (compared == 0 && !nothing_left)) ? 1 : 0;
+  return command.verify && (!verified || nothing_compared) ? 1 : 0;
 }
 
 int run_export(const ExportCommand& command) {
@@ -136,7 +197,7 @@ int run_export(const ExportCommand& command) {
   }
   core::CutSession session(opened.body.loaded.mesh, opened.config.cut, opened.body.loaded.fields);
   if (!command.revision || *command.revision > 0) {
-    replay(session, opened,
+    replay(session, opened.motion.events, opened.config,
            [&](const core::Delta& delta) { return !command.revision || delta.revision < *command.revision; });
   }
   if (command.revision && session.revision() != *command.revision) {
