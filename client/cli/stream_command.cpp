@@ -50,7 +50,8 @@ std::vector<PoseSample> engaged(const protocol::Motion& motion, int engage_butto
 struct Seen {
   std::atomic<std::uint32_t> source{UINT32_MAX};  // the number of this blade, once it is known
   std::atomic<std::uint64_t> last_cut{0};         // revision of its last batch
-  std::atomic<bool> faces{false};                 // that some face opened
+  std::atomic<std::uint64_t> faces{0};            // that it has opened
+  std::atomic<bool> missed{false};                // a snapshot came in the place of deltas
 };
 
 class Player {
@@ -163,8 +164,8 @@ class Player {
                    "incise: %" PRIu64 " of %" PRIu64 " accepted poses are not in the server's capture\n",
                    r.accepted - r.recorded, r.accepted);
     }
-    if (settled && !seen_.faces) {
-      warn(std::string("nothing was cut: ") +
+    if (settled && seen_.faces == 0 && !seen_.missed) {
+      warn("nothing was cut by blade " + shown_name(command_.source_name) + ": " +
            (r.too_fast > 0 ? "the server treated steps as jumps (cut.speed_limit_m_s, cut.gap_limit_s)"
                            : "the blade missed the mesh, never moved, or no pose held the button that "
                              "engages it, or all of it was cut before"));
@@ -195,12 +196,14 @@ class Player {
                 seconds_, r.accepted, rejected);
     if (rejected > 0) {
       std::printf(" (%" PRIu64 " not finite or more than 10 km away, %" PRIu64
+                                           {"cut_faces", seen_.faces.load()},
                   " without a unit quaternion, %" PRIu64 " with a time that does not rise, %" PRIu64
                   " queue full)",
                   r.not_finite, r.not_unit, r.time_not_rising, r.queue_full);
     }
-    std::printf("; %s by speed or gap\nrevision %" PRIu64 " to %" PRIu64 "\n",
-                counted(r.too_fast, "new stroke").c_str(), welcome_.revision, revision);
+    std::printf("; %s by speed or gap\nrevision %" PRIu64 " to %" PRIu64 ", with %s of this blade\n",
+                counted(r.too_fast, "new stroke").c_str(), welcome_.revision, revision,
+                counted(seen_.faces, "cut face").c_str());
     if (!settled && connected())
       std::printf("the server has not received and cut all of them within %.0f s\n", kPatience_s);
   }
@@ -235,12 +238,12 @@ void reset_body(const Address& where, Options options) {
     std::this_thread::sleep_for(kStep);
     const std::scoped_lock lock(mutex);
     if (!refusal.empty()) throw std::runtime_error("--reset: " + refusal);
-    if (client->status() != Status::kConnected) throw std::runtime_error("--reset: " + client->last_error());
-    if (steady_clock::now() - began > std::chrono::duration<double>(kPatience_s)) {
-      throw std::runtime_error("--reset: the server has not reset the body; try again");
   // The others are told who it was.
   options.client_name =
       (options.client_name + " stream, blade " + options.source_name).substr(0, protocol::kMaxNameBytes);
+    if (client->status() != Status::kConnected) throw std::runtime_error("--reset: " + client->last_error());
+    if (steady_clock::now() - began > std::chrono::duration<double>(kPatience_s)) {
+      throw std::runtime_error("--reset: the server has not reset the body; try again");
     }
   }
 }
@@ -284,8 +287,9 @@ int run_stream(const StreamCommand& command, protocol::Motion motion) {
   callbacks.on_surface_delta = [&](const protocol::SurfaceReplica&, const protocol::SurfaceDelta& delta,
                                    const Arrival&) {
     for (const protocol::Step& step : delta.steps) {
-      if (step.stroke != 0 && step.source == seen.source) seen.last_cut = step.revision;
-      if (step.cut_area_m2 > 0) seen.faces = true;
+      if (step.stroke == 0 || step.source != seen.source) continue;
+      seen.last_cut = step.revision;
+      seen.faces += step.cut_faces;
     }
   };
   const auto client = connect_operator(where, options, std::move(callbacks));
@@ -295,3 +299,7 @@ int run_stream(const StreamCommand& command, protocol::Motion motion) {
 
 }  // namespace incise::client
   callbacks.on_welcome = RestartNotice();
+  callbacks.on_snapshot = [&](const protocol::SnapshotEnd&, protocol::SnapshotCause cause) {
+    using Cause = protocol::SnapshotCause;
+    if (cause == Cause::Resync || cause == Cause::TooSlow) seen.missed = true;
+  };

@@ -2,11 +2,19 @@
 
 #include <gtest/gtest.h>
 
-#include <optional>
+#include <algorithm>
+#include <chrono>
+#include <functional>
+#include <memory>
+#include <nlohmann/json.hpp>
+#include <sstream>
 #include <string>
-#include <utility>
+#include <thread>
+#include <vector>
 
+#include "client/cli/commands.hpp"
 #include "client/cli/restart_notice.hpp"
+#include "tests/stream/mini_loop.hpp"
 
 namespace incise::client {
 namespace {
@@ -14,6 +22,18 @@ namespace {
 using protocol::Restart;
 using protocol::RestartKind;
 using protocol::Role;
+using stream::TestServer;
+
+std::string address_of(const TestServer& test) {
+  return "127.0.0.1:" + std::to_string(test.server.tcp_port());
+}
+
+protocol::Motion motion_of(std::vector<protocol::PoseSample> samples) {
+  protocol::Motion motion;
+  motion.samples = std::move(samples);
+  motion.has_buttons = motion.has_orientation = true;
+  return motion;
+}
 
 TEST(RestartNotice, SaysOnceWhoHasUndoneOrResetWhat) {
   EXPECT_EQ(restart_text({RestartKind::Undo, Role::Operator, "left", 1, "left"}, 12),
@@ -40,6 +60,44 @@ TEST(RestartNotice, SaysOnceWhoHasUndoneOrResetWhat) {
   EXPECT_EQ(said(3, reset),
             "incise: server: administrator \"x\" has reset the body: it is as loaded, all cuts are gone\n");
   EXPECT_EQ(said(4, Restart{}), "") << "of a kind that is not known here";
+}
+
+// One hand far from the body, while another one cuts it.
+TEST(TwoHands, StreamSaysThatItsOwnBladeCutNothingWhileAnotherCuts) {
+  TestServer test(6);
+  test.loop.start();
+  Options options;
+  options.role = Role::Operator;
+  options.source_name = "left";
+  const auto left = Client::connect("127.0.0.1", test.server.tcp_port(), options);
+  // While the other one plays for a second.
+  std::jthread cutting([&] {
+    for (int i = 0; i < 4; ++i) {
+      const std::int64_t t0_ns = 1'000'000 + 1'000'000'000 * std::int64_t{i};
+      left->send_poses(stream::sweep(0.01 + 0.01 * i, 100, t0_ns, 0.06));
+      std::this_thread::sleep_for(std::chrono::milliseconds(200));
+    }
+  });
+  StreamCommand command;
+  command.server.address = address_of(test);
+  command.source_name = "right";
+  command.json = true;
+  const auto play = [&](std::vector<protocol::PoseSample> samples, std::string& told) {
+    ::testing::internal::CaptureStdout();
+    ::testing::internal::CaptureStderr();
+    EXPECT_EQ(run_stream(command, motion_of(std::move(samples))), 0);
+    told = ::testing::internal::GetCapturedStderr();
+    return nlohmann::json::parse(::testing::internal::GetCapturedStdout());
+  };
+  std::string told;
+  auto summary = play(stream::sweep(9, 1000, 1'000'000, 0.06), told);
+  EXPECT_EQ(summary["cut_faces"], 0);
+  EXPECT_NE(told.find("warning: nothing was cut by blade \"right\": "), std::string::npos) << told;
+  cutting.join();
+  EXPECT_GT(test.loop.revision(), 0u);
+  summary = play(stream::sweep(0.055, 200, 10'000'000'000, 0.06), told);
+  EXPECT_GT(summary["cut_faces"], 0);
+  EXPECT_EQ(told, "");
 }
 
 }  // namespace
