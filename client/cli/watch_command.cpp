@@ -14,6 +14,7 @@
 #include <stdexcept>
 #include <thread>
 
+#include "client/cli/blade_table.hpp"
 #include "client/cli/commands.hpp"
 #include "client/cli/output_file.hpp"
 #include "client/cli/restart_notice.hpp"
@@ -112,7 +113,6 @@ class Watcher {
     }
     count_area_ = true;  // the snapshot may be here already, and its callback not yet
     print_line();
-    if (terminal_ && !command_.json) std::printf("\n");
     save();
     client_->close();
     if (gone_since_ && !interrupted()) {
@@ -134,8 +134,7 @@ class Watcher {
     if (client_->status() != Status::kReconnecting) {
       // Counted, as it may have come back between two looks.
       const std::uint64_t reconnects = client_->counters().reconnects;
-      if (std::exchange(reconnects_, reconnects) != reconnects)
-        std::fprintf(stderr, "incise: connected again\n");
+      if (std::exchange(reconnects_, reconnects) != reconnects) say("connected again");
       gone_since_.reset();
       return false;
     }
@@ -145,11 +144,10 @@ class Watcher {
       const std::string until = command_.give_up_after_s > 0
                                     ? " for " + number(command_.give_up_after_s) + " s"
                                     : " until it is interrupted";
-      std::fprintf(stderr, "incise: %s is gone; trying to connect again%s\n", command_.server.address.c_str(),
-                   until.c_str());
+      say(command_.server.address + " is gone; trying to connect again" + until);
     } else if (!trouble.empty() && trouble != trouble_) {
       // A server that is back may refuse us: for another token, say.
-      std::fprintf(stderr, "incise: not connected yet: %s\n", trouble.c_str());
+      say("not connected yet: " + trouble);
     }
     trouble_ = std::move(trouble);
     return command_.give_up_after_s > 0 &&
@@ -159,6 +157,16 @@ class Watcher {
     char text[32];
     std::snprintf(text, sizeof text, "%g", value);
     return text;
+  }
+  static std::string fixed(double value, int decimals) {
+    char text[64];
+    std::snprintf(text, sizeof text, "%.*f", decimals, value);
+    return text;
+  }
+  // On stderr. What is drawn next comes below it.
+  void say(const std::string& line) {
+    std::fprintf(stderr, "incise: %s\n", line.c_str());
+    drawn_lines_ = 0;
   }
 
   // Notes when the server was last heard, and when its loop last made a frame.
@@ -191,6 +199,7 @@ class Watcher {
     };
     c.on_welcome = [this](const protocol::Welcome& welcome) {
       restarts_(welcome);
+      drawn_lines_ = 0;
       if (welcome.revision == 0) live_tets_ = welcome.mesh.tets;
     };
     c.on_snapshot = [this](const protocol::SnapshotEnd&, protocol::SnapshotCause) { count_area_ = true; };
@@ -199,11 +208,11 @@ class Watcher {
       const std::scoped_lock lock(mutex_);
       stats_ = stats;
     };
-    c.on_error = [](const protocol::Error& e) {
-      std::fprintf(stderr, "incise: server: %s: %s\n", name_of(e.code), e.text.c_str());
+    c.on_error = [this](const protocol::Error& e) {
+      say(std::string("server: ") + name_of(e.code) + ": " + e.text);
     };
-    c.on_resync = [](const std::string& why) { std::fprintf(stderr, "incise: resync: %s\n", why.c_str()); };
-    c.on_disconnect = [](const std::string& why) { std::fprintf(stderr, "incise: %s\n", why.c_str()); };
+    c.on_resync = [this](const std::string& why) { say("resync: " + why); };
+    c.on_disconnect = [this](const std::string& why) { say(why); };
     return c;
   }
 
@@ -343,27 +352,45 @@ class Watcher {
                         {"poses_rejected", f.stats->poses_rejected},
                         {"frame_work_p99_us", f.stats->frame_work_p99_us},
                         {"pose_to_delta_p99_us", f.stats->pose_to_delta_p99_us}};
+      nlohmann::ordered_json blades = nlohmann::ordered_json::array();
+      for (const protocol::BladeStats& blade : f.stats->blades) {
+        blades.push_back({{"source", blade.source},
+                          {"name", blade.name},
+                          {"poses", blade.poses},
+                          {"rejected", blade.rejected},
+                          {"strokes", blade.strokes},
+                          {"cut_faces", blade.cut_faces},
+                          {"in_stroke", blade.in_stroke}});
+      }
+      line["server"]["blades"] = std::move(blades);
     }
-    std::printf("%s\n", line.dump().c_str());
+    // Names are what clients have sent.
+    std::printf("%s\n", line.dump(-1, ' ', false, nlohmann::ordered_json::error_handler_t::replace).c_str());
   }
 
-  void print_text(Figures& f) const {
-    std::printf("%srevision %" PRIu64 "  ", terminal_ ? "\r\x1b[K" : "", f.revision);
-    if (client_->status() != Status::kConnected) {
-      std::printf("connecting again");
-    } else if (unheard_s() > kUnheard_s) {
-      std::printf("no word from the server for %.0f s", unheard_s());
-    } else if (stalled_s() > kUnheard_s) {
-      std::printf("the server's loop has stood for %.0f s", stalled_s());
-    } else {
-      if (f.steps_s) std::printf("%.0f/s  ", *f.steps_s);
-      std::printf("pose to cut %s  cut to here %s (p50/p99)  %s tets  %zu pieces  cut %.2f cm2",
-                  milliseconds(f.window.pose_to_cut_ms).c_str(),
-                  milliseconds(f.window.cut_to_here_ms).c_str(),
-                  f.tets > 0 ? std::to_string(f.tets).c_str() : "-", f.pieces, 1e4 * f.cut_area_m2);
-      if (f.bytes_s) std::printf("  %.1f kB/s", 1e-3 * *f.bytes_s);
-    }
-    if (!terminal_) std::printf("\n");
+  // On a terminal in place of what was printed last.
+  void print_text(Figures& f) {
+    const std::string text = text_of(f);
+    if (const int drawn = drawn_lines_; terminal_ && drawn > 0) std::printf("\x1b[%dA\r\x1b[J", drawn);
+    std::printf("%s", text.c_str());
+    drawn_lines_ = static_cast<int>(std::count(text.begin(), text.end(), '\n'));
+  }
+
+  // At most 80 columns.
+  std::string text_of(Figures& f) const {
+    std::string text = "revision " + std::to_string(f.revision) + "  ";
+    if (client_->status() != Status::kConnected) return text + "connecting again\n";
+    if (unheard_s() > kUnheard_s)
+      return text + "no word from the server for " + fixed(unheard_s(), 0) + " s\n";
+    if (stalled_s() > kUnheard_s)
+      return text + "the server's loop has stood for " + fixed(stalled_s(), 0) + " s\n";
+    if (f.steps_s) text += fixed(*f.steps_s, 0) + "/s  ";
+    text += (f.tets > 0 ? std::to_string(f.tets) : "-") + " tets  " + std::to_string(f.pieces) +
+            (f.pieces == 1 ? " piece  " : " pieces  ") + "cut " + fixed(1e4 * f.cut_area_m2, 2) + " cm2";
+    if (f.bytes_s) text += "  " + fixed(1e-3 * *f.bytes_s, 1) + " kB/s";
+    text += "\npose to cut " + milliseconds(f.window.pose_to_cut_ms) + "  cut to here " +
+            milliseconds(f.window.cut_to_here_ms) + " (p50/p99)\n";
+    return f.stats ? text + blade_table(f.stats->blades) : text;
   }
 
   void save() const {
@@ -380,6 +407,7 @@ class Watcher {
 
   const WatchCommand& command_;
   const bool terminal_ = ::isatty(STDOUT_FILENO) != 0;
+  std::atomic<int> drawn_lines_{0};  // that end the output; 0 after anything else was printed
   std::mutex mutex_;
   Window window_;
   double cut_area_ = 0;

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
+#include <nlohmann/json.hpp>
 #include <stdexcept>
 #include <system_error>
 
@@ -83,6 +84,11 @@ CaptureJournal::CaptureJournal(const std::string& path, std::uint64_t offset, st
 
 void CaptureJournal::write(const loop::JournalRecord& record) {
   writer_.append(to_capture(record));
+  if (record.kind != loop::JournalRecord::Kind::kOpened || !name_of_) return;
+  const nlohmann::ordered_json note{{"source", record.source}, {"name", name_of_(record.source)}};
+  // A name is what a client has sent.
+  writer_.append(
+      protocol::NoteRecord{note.dump(-1, ' ', false, nlohmann::ordered_json::error_handler_t::replace)});
 }
 
 // After a gap a replay can go on only from a checkpoint. A gap that just fits into a full disk, with no checkpoint behind it, would take

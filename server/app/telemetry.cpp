@@ -132,9 +132,19 @@ std::string Telemetry::json() const {
   root["cut_area_m2"] = state.cut_area_m2;
   root["sources"] = sources_.open_count();
   root["blades"] = Json::array();
+  const loop::BladesNow blades = stats_.blades.load();
   for (std::uint32_t source = 0; source < core::kMaxSources; ++source) {
-    if (const std::string name = sources_.name_of(source); !name.empty())
-      root["blades"].push_back({{"source", source}, {"name", name}});
+    const std::string name = sources_.name_of(source);
+    if (name.empty()) continue;
+    const protocol::BladeStats blade = blade_stats(source, blades[source]);
+    root["blades"].push_back({{"source", source},
+                              {"name", name},
+                              {"held", sources_.tally(source).open},
+                              {"poses", blade.poses},
+                              {"rejected", blade.rejected},
+                              {"strokes", blade.strokes},
+                              {"cut_faces", blade.cut_faces},
+                              {"in_stroke", blade.in_stroke}});
   }
   Json poses;
   for (int i = 0; i < core::kPoseVerdicts; ++i) {
@@ -183,6 +193,7 @@ std::string Telemetry::json() const {
   }
   if (stream_) {
     const stream::StreamCounters c = stream_();
+    root["pieces"] = c.pieces;
     root["access"] = access_json(c);
     root["stream"] = stream_json(c);
   }
@@ -320,6 +331,17 @@ std::string Telemetry::metrics() const {
   return out;
 }
 
+protocol::BladeStats Telemetry::blade_stats(std::uint32_t source, const loop::BladeNow& blade) const {
+  const input::PoseSources::Tally tally = sources_.tally(source);
+  return {source,
+          sources_.name_of(source),
+          tally.accepted,
+          tally.rejected,
+          static_cast<std::uint32_t>(blade.strokes),
+          blade.cut_faces,
+          tally.open && blade.cutting != 0};
+}
+
 protocol::Stats Telemetry::message() const {
   const loop::LoopState state = stats_.state.load();
   protocol::Stats stats;
@@ -335,6 +357,9 @@ protocol::Stats Telemetry::message() const {
   }
   stats.frame_work_p99_us = static_cast<float>(us(stats_.frame_work.quantile_ns(0.99)));
   if (journal_ && journal_->checkpointer()) stats.undoable = journal_->checkpointer()->undoable().strokes;
+  const loop::BladesNow blades = stats_.blades.load();
+  for (std::uint32_t source = 0; source < blades.size(); ++source)
+    if (sources_.tally(source).open) stats.blades.push_back(blade_stats(source, blades[source]));
   stats.pose_to_delta_p99_us = static_cast<float>(us(stats_.pose_to_cut.quantile_ns(0.99)));
   return stats;
 }

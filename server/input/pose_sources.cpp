@@ -162,6 +162,22 @@ std::uint32_t PoseSources::open_count() const {
   return open;
 }
 
+PoseSources::Tally PoseSources::tally(std::uint32_t source) const {
+  const std::scoped_lock lock(mutex_);  // so that nobody opens it meanwhile
+  const Slot& slot = *slots_[source];
+  Tally tally;
+  tally.open = slot.state.load(std::memory_order_acquire) == State::kOpen;
+  for (std::size_t i = 0; i < slot.before.size(); ++i) {
+    const std::uint64_t acknowledged = slot.acknowledged[i].load(std::memory_order_acquire),
+                        before = slot.before[i].load(std::memory_order_relaxed);
+    if (acknowledged > before) {
+      (core::accepted(static_cast<core::PoseVerdict>(i)) ? tally.accepted : tally.rejected) +=
+          acknowledged - before;
+    }
+  }
+  return tally;
+}
+
 std::string PoseSources::name_of(std::uint32_t source) const {
   const std::scoped_lock lock(mutex_);
   return slots_[source]->name;

@@ -136,6 +136,12 @@ class PoseSources {
   std::uint32_t open_count() const;
   // Name of a source's owner, or of its last one; empty if there was none.
   std::string name_of(std::uint32_t source) const;
+  // Whether a source is open, and what has become of its owner's poses so far: accepted and rejected.
+  struct Tally {
+    bool open = false;
+    std::uint64_t accepted = 0, rejected = 0;
+  };
+  Tally tally(std::uint32_t source) const;
 
  private:
   friend class PoseSource;

@@ -195,6 +195,8 @@ void FrameLoop::handle(std::uint32_t source, const input::InputEvent& event, std
       session_->set_blade(source, event.blade);
       blades_[source] = event.blade;
       owners_[source] = event.owner;
+      blades_now_[source].strokes = blades_now_[source].cut_faces = 0;
+      blades_moved_ = true;
       if (forces_) forces_->opened(source, event.blade);
       break;
     case Kind::kPose: {
@@ -208,14 +210,17 @@ void FrameLoop::handle(std::uint32_t source, const input::InputEvent& event, std
       const core::PoseVerdict verdict = session_->push(source, record.pose);
       if (core::accepted(verdict)) {
         const core::Blade& blade = blades_[source] ? *blades_[source] : session_->config().blade;
-        blades_now_[source] = {event.pose.arrival_ns, session_->in_stroke(source) ? 1 : 0,
-                               core::blade_line(blade, event.pose.pose), blades_now_[source].force};
+        BladeNow& now = blades_now_[source];
+        now.arrival_ns = event.pose.arrival_ns;
+        now.cutting = session_->in_stroke(source) ? 1 : 0;
+        now.line = core::blade_line(blade, event.pose.pose);
         blades_moved_ = true;
       }
       record.begins_stroke =
           session_->in_stroke(source) && (!stroking || verdict == core::PoseVerdict::kNewStroke);
       if (record.begins_stroke) {
         ++state_.strokes;
+        ++blades_now_[source].strokes;
         undos_.note_stroke(source);
       }
       record.verdict = verdict;
@@ -468,6 +473,10 @@ void FrameLoop::commit(PublishedDelta& out, std::int64_t now_ns) {
   state_.live_tets = session_->mesh().live_tets();
   state_.vertices = session_->mesh().vertex_slots();
   state_.cut_faces += delta.cut_faces;
+  if (delta.cut_faces > 0) {
+    blades_now_[delta.source].cut_faces += delta.cut_faces;
+    blades_moved_ = true;
+  }
   state_.cut_area_m2 += delta.cut_area;
   if (forces_) forces_->cut(session_->mesh(), delta);
 

@@ -45,7 +45,7 @@ struct RecordReader {
     motion.marks.push_back(record);
     motion.events_before.push_back(motion.events.size());
   }
-  void operator()(const protocol::NoteRecord&) {}
+  void operator()(const protocol::NoteRecord& record) { motion.notes.push_back(record.json); }
   void operator()(const protocol::GapRecord& record) {
     if (motion.gap) return;
     motion.gap.emplace();

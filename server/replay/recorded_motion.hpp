@@ -37,12 +37,12 @@ struct RecordedMotion {
   std::vector<protocol::BatchMark> marks;
   std::vector<std::size_t> events_before;  // each of marks
   std::vector<protocol::CheckpointRecord> checkpoints;
-  std::uint64_t session = 0;  // its id, after the last reset
+  std::vector<std::string> notes;  // of the whole capture
+  std::uint64_t session = 0;       // its id, after the last reset
   std::uint64_t resets = 0;
   std::uint64_t undos = 0;  // since then: what was undone is not among events and marks
   // It was read from a place in the midst, and an undo led back to before that: nothing of this is of use.
   bool undone_before_start = false;
-  bool closed = false;           // it was ended properly, not cut off
   // What resets have ended, in order, where that was asked for (BeforeResets).
   struct Run {
     std::vector<MotionEvent> events;
@@ -51,6 +51,7 @@ struct RecordedMotion {
   std::vector<Run> earlier;
   // Marks of the whole capture that are in none of these: of strokes that were undone, and behind a gap.
   std::uint64_t marks_undone = 0, marks_behind_gaps = 0;
+  bool closed = false;           // it was ended properly, not cut off
   std::uint64_t records = 0;     // all kinds
   std::uint64_t good_bytes = 0;  // up to the end of these
   // Records are missing: events and marks end there, unless a reset follows.
@@ -76,9 +77,9 @@ enum class IfDamaged : std::uint8_t { kRefuse, kEndThere };
 struct DamagedCapture : std::runtime_error {
   using std::runtime_error::runtime_error;
 };
-// Reads a capture up to a torn end, which is a warning; from `start`, if given: then header is empty if there is no such record. `name`
 // What came before the last reset: only who checks all of a capture needs it.
 enum class BeforeResets : std::uint8_t { kDrop, kKeep };
+// Reads a capture up to a torn end, which is a warning; from `start`, if given: then header is empty if there is no such record. `name`
 // is the capture in messages. Throws std::runtime_error: wrong bytes before the end, DamagedCapture if the header is good.
 RecordedMotion read_capture(std::istream& in, const std::string& name, const CaptureStart* start = nullptr,
                             IfDamaged if_damaged = IfDamaged::kRefuse,

@@ -6,6 +6,7 @@ StreamCounters SharedCounters::read() const {
   StreamCounters out;
   out.revision = revision;
   out.state_hash = state_hash;
+  out.pieces = pieces;
   out.peers = peers;
   out.connections = connections;
   out.accepted = accepted;

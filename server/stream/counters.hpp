@@ -9,6 +9,7 @@ namespace incise::stream {
 struct StreamCounters {
   std::uint64_t revision = 0;  // the mirror's: what clients can see
   std::uint64_t state_hash = 0;
+  std::uint32_t pieces = 1;       // likewise
   std::uint32_t peers = 0;        // connected and welcomed
   std::uint32_t connections = 0;  // open, including those before Hello
   std::uint64_t accepted = 0;     // connections
@@ -40,7 +41,7 @@ struct SharedCounters {
       slow_disconnects{0}, resumed{0}, ring_bytes{0}, ring_deltas{0}, half_open_closed{0}, part_bytes{0},
       box_turns{0}, box_turns_ns{0}, box_coalesced{0}, boxes_refused{0}, wrong_tokens{0},
       tokens_not_looked_at{0}, resets{0}, undos{0}, takeovers{0}, handovers{0};
-  std::atomic<std::uint32_t> peers{0}, connections{0};
+  std::atomic<std::uint32_t> peers{0}, connections{0}, pieces{1};
 
   // All but `queued`.
   StreamCounters read() const;

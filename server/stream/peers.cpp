@@ -17,6 +17,10 @@ constexpr std::chrono::milliseconds kLoadTick{1};
 constexpr std::uint64_t kTicksPerStatistics = 20;
 constexpr std::size_t kMaxLingering = 64;
 
+std::uint32_t pieces_of(const Feed& feed) {
+  return 1 + static_cast<std::uint32_t>(feed.mirror().volume().piece_names().size());
+}
+
 }  // namespace
 
 Peers::Peers(PeerContext& context)
@@ -26,18 +30,19 @@ void Peers::reset(std::shared_ptr<const InitialState> initial) {
   Feed& live = context_.live;
   SharedCounters& counters = *context_.counters;
   const std::uint64_t epoch = live.mirror().epoch(), revision = live.mirror().revision();
+  const std::shared_ptr<const protocol::Restart> restart = initial->restart;
   live.reset(std::move(initial));
   const bool same_ids = live.mirror().epoch() == epoch && live.mirror().revision() >= revision;
-  counters.revision = live.mirror().revision();
-  counters.state_hash = live.mirror().volume().state_hash();
-  const std::shared_ptr<const protocol::Restart> restart = initial->restart;
-  counters.ring_bytes = counters.ring_deltas = 0;
-  if (FeedListener* listener = context_.providers.listener)
   if (live.mirror().epoch() != epoch) {
     context_.restart = restart ? std::optional(*restart) : std::nullopt;
     if (restart && restart->kind == protocol::RestartKind::Reset && restart->by.empty())
       context_.restart->by = context_.reset_by;
   }
+  counters.revision = live.mirror().revision();
+  counters.state_hash = live.mirror().volume().state_hash();
+  counters.pieces = pieces_of(live);
+  counters.ring_bytes = counters.ring_deltas = 0;
+  if (FeedListener* listener = context_.providers.listener)
     listener->on_epoch(live.mirror().epoch(), live.mirror().revision());
   const auto peers = peers_;
   for (const auto& peer : peers) peer->on_live_reset(same_ids);
@@ -70,6 +75,7 @@ void Peers::note_applied() {
   ++counters.deltas;
   counters.revision = live.mirror().revision();
   counters.state_hash = live.mirror().volume().state_hash();
+  counters.pieces = pieces_of(live);
   counters.ring_bytes = live.ring().bytes();
   counters.ring_deltas = live.ring().size();
 }
@@ -135,6 +141,7 @@ void Peers::send_statistics() {
       protocol::Stats statistics = context_.providers.statistics();
       statistics.revision = context_.live.mirror().revision();
       statistics.live_tets = context_.live.mirror().volume().live_tets();
+      statistics.pieces = pieces_of(context_.live);
       statistics.sessions = context_.counters->peers;
       statistics.recording = context_.recording.state;
       frame = make_frame(std::move(statistics));

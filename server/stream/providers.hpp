@@ -52,7 +52,7 @@ struct RecordingNow {
 struct Providers {
   std::function<std::string()> stats_json;    // GET /stats
   std::function<std::string()> metrics_text;  // GET /metrics; what the stream itself counts is appended
-  // Once a second to every peer; sessions, revision, live_tets and recording are filled in here.
+  // Once a second to every peer; sessions, revision, live_tets, pieces and recording are filled in here.
   std::function<protocol::Stats()> statistics;
   // Where the blades are now, for peers that asked; blades that never moved are left out.
   std::function<std::vector<protocol::BladePose>()> blades;

@@ -12,6 +12,7 @@
 #include <thread>
 #include <vector>
 
+#include "client/cli/blade_table.hpp"
 #include "client/cli/commands.hpp"
 #include "client/cli/restart_notice.hpp"
 #include "tests/stream/mini_loop.hpp"
@@ -23,6 +24,13 @@ using protocol::Restart;
 using protocol::RestartKind;
 using protocol::Role;
 using stream::TestServer;
+
+std::vector<std::string> lines_of(const std::string& text) {
+  std::vector<std::string> lines;
+  std::istringstream in(text);
+  for (std::string line; std::getline(in, line);) lines.push_back(line);
+  return lines;
+}
 
 std::string address_of(const TestServer& test) {
   return "127.0.0.1:" + std::to_string(test.server.tcp_port());
@@ -62,6 +70,19 @@ TEST(RestartNotice, SaysOnceWhoHasUndoneOrResetWhat) {
   EXPECT_EQ(said(4, Restart{}), "") << "of a kind that is not known here";
 }
 
+TEST(BladeTable, FitsInto80Columns) {
+  EXPECT_EQ(blade_table({}), "");
+  const auto lines = lines_of(
+      blade_table({{0, "left", 4000, 3, 2, 310, true},
+                   {7, std::string(300, 'n') + "\n\x1b", UINT32_MAX, 99999, 12345, UINT32_MAX, false}}));
+  ASSERT_EQ(lines.size(), 3u);
+  EXPECT_EQ(lines[0].find("blade"), 0u);
+  EXPECT_EQ(lines[1].find("left "), 0u);
+  EXPECT_TRUE(lines[1].ends_with("310  yes")) << lines[1];
+  EXPECT_EQ(lines[2].find("nnnn"), 0u);
+  for (const std::string& line : lines) EXPECT_LE(line.size(), 80u) << line;
+}
+
 // One hand far from the body, while another one cuts it.
 TEST(TwoHands, StreamSaysThatItsOwnBladeCutNothingWhileAnotherCuts) {
   TestServer test(6);
@@ -98,6 +119,39 @@ TEST(TwoHands, StreamSaysThatItsOwnBladeCutNothingWhileAnotherCuts) {
   summary = play(stream::sweep(0.055, 200, 10'000'000'000, 0.06), told);
   EXPECT_GT(summary["cut_faces"], 0);
   EXPECT_EQ(told, "");
+}
+
+TEST(TwoHands, WatchShowsTheBladesAndTheirNames) {
+  stream::Providers providers;
+  providers.statistics = [] {
+    protocol::Stats stats;
+    stats.frames = 1;
+    stats.blades = {{1, "right", 20, 1, 2, 30, true}};
+    return stats;
+  };
+  TestServer test(3, stream::test_config(), std::move(providers));
+  test.loop.start();
+  WatchCommand watch;
+  watch.server.address = address_of(test);
+  watch.for_s = 2.4;  // statistics come once a second
+  const auto output = [&] {
+    ::testing::internal::CaptureStdout();
+    EXPECT_EQ(run_watch(watch), 0);
+    return lines_of(::testing::internal::GetCapturedStdout());
+  };
+  auto lines = output();
+  EXPECT_TRUE(std::any_of(lines.begin(), lines.end(), [](const std::string& line) {
+    return line.starts_with("right ") && line.ends_with("30  yes");
+  }));
+  for (const std::string& line : lines) EXPECT_LE(line.size(), 80u) << line;
+  watch.json = true;
+  lines = output();
+  ASSERT_FALSE(lines.empty());
+  const auto last = nlohmann::json::parse(lines.back());
+  EXPECT_EQ(last["pieces"], 1);
+  EXPECT_EQ(last["server"]["blades"][0]["name"], "right");
+  EXPECT_EQ(last["server"]["blades"][0]["in_stroke"], true);
+  EXPECT_EQ(last["server"]["blades"][0]["cut_faces"], 30);
 }
 
 }  // namespace

@@ -155,6 +155,13 @@ TEST(Recovery, OneHandDoesNotUndoWhatTheOtherHasCutSince) {
   EXPECT_EQ(settled(session, *viewer), both);
   EXPECT_EQ(left.undo(*viewer),
             "Undo: the last stroke is that of blade \"right\": its operator or an admin may undo it");
+  for (const char* blade : {"/blades/0", "/blades/1"}) {
+    EXPECT_GT(session.stat(std::string(blade) + "/cut_faces"), 10.0) << blade;
+    EXPECT_GT(session.stat(std::string(blade) + "/poses"), 150.0) << blade;
+    EXPECT_EQ(session.stat(std::string(blade) + "/strokes"), 1.0) << blade;
+  }
+  EXPECT_GE(session.stat("/pieces"), 2.0);
+
   EXPECT_EQ(right.undo(*viewer, true), "");
   const Held left_half = settled(session, *viewer);
   EXPECT_LT(left_half.revision, both.revision);
@@ -165,6 +172,10 @@ TEST(Recovery, OneHandDoesNotUndoWhatTheOtherHasCutSince) {
   EXPECT_EQ(settled(session, *viewer), before);
   right.cut(0.5);
   settled(session, *viewer);
+  // The capture knows who they were.
+  Process info({"incise", "info", session.capture()});
+  const std::string said = info.rest();
+  EXPECT_NE(said.find("\"right\": poses "), std::string::npos) << said;
   {
     client::Options options;
     options.role = protocol::Role::Admin;

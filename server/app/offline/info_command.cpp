@@ -8,11 +8,13 @@
 #include <optional>
 #include <set>
 
+#include "client/cli/shown_name.hpp"
 #include "client/cli/usage.hpp"
 #include "server/app/body.hpp"
 #include "server/app/offline/commands.hpp"
 #include "server/app/offline/cut_file.hpp"
 #include "server/app/offline/motion_run.hpp"
+#include "server/app/offline/source_names.hpp"
 #include "server/base/hex.hpp"
 #include "server/core/mesh/measure.hpp"
 #include "server/input/hid/device_profile.hpp"
@@ -256,7 +258,11 @@ Json describe_motion(const RecordedMotion& motion) {
     bounded = true;
   }
   Json sources = Json::array();
-  for (auto& [number, figures] : by_source) sources.push_back(figures.json(number));
+  const auto names = source_names(motion);
+  for (auto& [number, figures] : by_source) {
+    sources.push_back(figures.json(number));
+    if (const auto known = names.find(number); known != names.end()) sources.back()["names"] = known->second;
+  }
   facts["sources"] = sources;
   if (bounded) facts["box_m"] = corners(bounds);
   facts["warnings"] = motion.warnings;
@@ -362,11 +368,14 @@ void print(const Json& facts) {
       for (const Json& source : value) {
         std::string line;
         for (const auto& [key, number] : source.items()) {
-          if (key == "source") continue;
+          if (key == "source" || key == "names") continue;
           line += (line.empty() ? "" : ", ") + key + " " +
                   (number.is_number_float() ? short_number(number.get<double>()) : number.dump());
         }
-        print_row("source " + source["source"].dump(), line);
+        std::string names;
+        for (const Json& holder : source.value("names", Json::array()))
+          names += (names.empty() ? "" : ", ") + client::shown_name(holder.get<std::string>());
+        print_row("source " + source["source"].dump(), names.empty() ? line : names + ": " + line);
       }
     } else if (name == "fields") {
       for (const Json& field : value) {
