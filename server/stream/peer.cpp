@@ -70,7 +70,7 @@ asio::awaitable<void> Peer::run() {
     const bool go_on = co_await receive();
     if (!go_on) break;
   }
-  blade_.release();
+  release_blade("its connection was lost");
   positions_.release();
   if (stage_ == Stage::kClosing) co_await transport_->discard();
   close();
@@ -462,7 +462,7 @@ void Peer::finish(ByeReason reason, const std::string& text) {
   if (ending()) return;
   // When the server stops, what it has published still goes out.
   if (reason != ByeReason::ServerStops) outbox_.drop_state();
-  release_parts();
+  release_parts(text.empty() ? "it has left" : text);
   stage_ = Stage::kClosing;
   closing_since_ns_ = monotonic_ns();
   ticket_.free_place();
@@ -470,8 +470,15 @@ void Peer::finish(ByeReason reason, const std::string& text) {
   outbox_.send_last(make_frame(protocol::Bye{reason, text}));
 }
 
-void Peer::release_parts() {
+void Peer::release_blade(const std::string& why) {
+  if (!blade_.held()) return;
+  const std::string line = "blade " + quoted(blade_.source_name()) + " is free: " + described() + ": " + why;
+  context_.audit(Audit::kBlade, ticket_.address().address(), line);
   blade_.release();
+}
+
+void Peer::release_parts(const std::string& why) {
+  release_blade(why);
   positions_.release();
   replay_.stop();
   follower_.stop();
@@ -485,7 +492,7 @@ void Peer::on_last_written() {
 void Peer::close() {
   if (stage_ == Stage::kClosed) return;
   stage_ = Stage::kClosed;
-  release_parts();
+  release_parts("its connection was lost");
   outbox_.close();
   transport_->close();
 }

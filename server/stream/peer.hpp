@@ -135,11 +135,13 @@ class Peer final : public std::enable_shared_from_this<Peer>,
   void refuse(const Refusal& refusal, std::uint64_t sequence = 0);
   // Whether the peer's version of the protocol has that view as we send it.
   bool speaks(protocol::View view) const;
-  void release_parts();
+  // Frees the blade, where one is held, and logs why.
+  void release_blade(const std::string& why);
+  void release_parts(const std::string& why);
   std::string described() const;  // in the log
+  std::string with_blade() const;
 
   PeerContext& context_;
-  std::string with_blade() const;
   PeerDirectory& others_;
   std::unique_ptr<Transport> transport_;
   Ticket ticket_;

@@ -76,6 +76,10 @@ asio::awaitable<void> Peer::on_hello(const protocol::Hello& hello, std::uint64_t
   const bool returns = hello.view != protocol::View::None && hello.resume_session != 0;
   const bool resumed = returns && follower_.can_resume(hello);
   send_welcome(resumed);
+  if (blade_.held()) {
+    context_.audit(Audit::kBlade, ticket_.address().address(),
+                   "blade " + quoted(blade_.source_name()) + " is held by " + described());
+  }
   complain_of_fields(sequence);
   blade_.note_reported(context_.recording.state);
   if (context_.recording.state == protocol::Recording::Stopped) warn_not_recorded();

@@ -189,6 +189,11 @@ TEST(Recovery, OneHandDoesNotUndoWhatTheOtherHasCutSince) {
              protocol::Restart{protocol::RestartKind::Reset, protocol::Role::Admin, "ward 3", 0, ""};
     }));
   }
+  for (const char* line : {"blade \"left\" is held by \"incise", "blade \"right\" is held by \"incise",
+                           "an undo is asked for by \"incise", ", blade \"right\""})
+    EXPECT_NE(session.log().find(line), std::string::npos) << line << '\n' << session.log();
+  right.link.reset();
+  EXPECT_TRUE(wait_for([&] { return session.log().find("blade \"right\" is free: ") != std::string::npos; }));
 }
 
 // The server has not cut the stroke yet when it is asked, and has to know of it all the same: it said that there was none.

@@ -204,5 +204,27 @@ TEST_F(AccessTest, ResetsTakeoversAndHandOversAreCountedAndLogged) {
   EXPECT_EQ(c.refused, 0u);
 }
 
+TEST_F(AccessTest, OperatorsThatJoinAndLeaveAreLogged) {
+  const auto join = [&](const char* blade) {
+    auto peer = std::make_unique<RawPeer>(test->server.tcp_port());
+    protocol::Hello wish = with_token(Role::Operator, "an operator's token");
+    wish.source_name = blade;
+    peer->send(wish);
+    EXPECT_TRUE(peer->receive_until<protocol::Welcome>());
+    return peer;
+  };
+  auto left = join("left"), right = join("right");
+  EXPECT_TRUE(told("blade \"left\" is held by \"a ?[31mtest\" at 127.0.0.1:", ""));
+  EXPECT_TRUE(told("blade \"right\" is held by \"a ?[31mtest\" at 127.0.0.1:", ""));
+  left->send(protocol::Bye{}, 2);
+  right.reset();
+  EXPECT_TRUE(
+      eventually([&] { return told("blade \"left\" is free: \"a ?[31mtest\" at", ": it has left"); }));
+  EXPECT_TRUE(eventually(
+      [&] { return told("blade \"right\" is free: \"a ?[31mtest\" at", ": its connection was lost"); }));
+  const std::scoped_lock lock(mutex);
+  EXPECT_EQ(lines.size(), 4u) << "each is said once";
+}
+
 }  // namespace
 }  // namespace incise::stream
