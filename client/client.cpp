@@ -141,6 +141,11 @@ std::string Client::last_error() const {
   return impl_->error_text;
 }
 
+protocol::ByeReason Client::goodbye() const {
+  const std::scoped_lock lock(impl_->mutex);
+  return impl_->bye_reason;
+}
+
 protocol::Welcome Client::welcome() const {
   const std::scoped_lock lock(impl_->mutex);
   return impl_->last_welcome;

@@ -148,6 +148,8 @@ class Client {
   Status status() const;
   // Why it is not connected; empty while connected.
   std::string last_error() const;
+  // The reason of the server's last goodbye on this connection; Unknown: it has said none, as where the connection was lost.
+  protocol::ByeReason goodbye() const;
   protocol::Welcome welcome() const;
   protocol::PoseReport report() const;  // the last
   Counters counters() const;

@@ -132,6 +132,7 @@ struct Client::Impl {
   bool started = false;  // the first attempt has ended, in success or not
   bool closed = false;   // by close()
   std::string error_text, failure;
+  protocol::ByeReason bye_reason = protocol::ByeReason::Unknown;
   protocol::ErrorCode refusal = protocol::ErrorCode::Unknown;  // why the last attempt to connect was refused
   protocol::Welcome last_welcome;
   protocol::PoseReport last_report;

@@ -41,6 +41,7 @@ void Client::Impl::on_welcome(const protocol::Welcome& welcome) {
     last_report = {};
     current_status = Status::kConnected;
     error_text.clear();
+    bye_reason = protocol::ByeReason::Unknown;
     started = true;
     changed.notify_all();
   }
@@ -145,6 +146,10 @@ bool Client::Impl::on(const protocol::Error& error, const Arrival&) {
 }
 
 bool Client::Impl::on(const protocol::Bye& bye, const Arrival&) {
+  {
+    const std::scoped_lock lock(mutex);
+    bye_reason = bye.reason;
+  }
   note_failure(bye.text.empty() ? "the server said goodbye" : bye.text);
   // Coming back would fight the operator who took the blade, or the server that refused us.
   if (bye.reason == protocol::ByeReason::HandedOver || bye.reason == protocol::ByeReason::Refused)

@@ -144,7 +144,9 @@ void add_stream(CLI::App& app, int& exit_code, const ReadMotion& read, const Fin
   sub->add_flag("--loop", command->loop, "Over and over, until interrupted");
   sub->add_option("--from-source", command->from_source,
                   "Of a capture with several sources, the one to play; without, the first that has poses");
-  sub->add_option("--source", command->source_name, "Name of the blade")->capture_default_str();
+  sub->add_option("--source", command->source_name, "Name of the blade")
+      ->check(name_of_a_blade())
+      ->capture_default_str();
   sub->add_option(
          "--blade", command->blade,
          "hx,hy,hz:tx,ty,tz: heel and tip in the tool's frame, metres, instead of the server's blade")

@@ -10,6 +10,7 @@
 #include <string>
 #include <string_view>
 
+#include "protocol/limits.hpp"
 #include "protocol/motion.hpp"
 
 namespace incise::client {
@@ -56,6 +57,16 @@ inline CLI::Validator whole_number(std::uint64_t least = 0,
         text, small && most == std::numeric_limits<std::uint64_t>::max()
                   ? "a whole number, 0 or more"
                   : "a whole number from " + std::to_string(least) + " to " + std::to_string(most));
+  };
+  return {check, ""};
+}
+
+// A name that a message can carry.
+inline CLI::Validator name_of_a_blade() {
+  const auto check = [](std::string& text) {
+    if (text.size() <= protocol::kMaxNameBytes) return std::string();
+    return detail::refusal("a name of " + std::to_string(text.size()) + " bytes",
+                           "one of at most " + std::to_string(protocol::kMaxNameBytes));
   };
   return {check, ""};
 }

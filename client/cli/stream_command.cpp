@@ -76,12 +76,29 @@ class Player {
     print(settled);
     if (!connected()) {
       throw std::runtime_error(command_.server.address + ": " + client_.last_error() + "; it acknowledged " +
-                               std::to_string(acknowledged()) + " of " + counted(sent_, "pose") + " sent");
+                               std::to_string(acknowledged()) + " of " + counted(sent_, "pose") + " sent; " +
+                               advice());
     }
     return settled ? 0 : 1;
   }
 
  private:
+  // What to do where the connection has ended.
+  std::string advice() const {
+    std::string again = "play the motion again";
+    switch (client_.goodbye()) {
+      case protocol::ByeReason::HandedOver:
+        return "--take-over takes the blade back, --source NAME uses one of your own";
+      case protocol::ByeReason::ServerStops:
+        return again + " when incised runs again (with --resume it has what it has recorded)";
+      case protocol::ByeReason::Unknown:
+        return "the server was killed, or the network between has failed: " + again +
+               " when it answers (incised --resume has what was recorded)";
+      default:
+        return again;
+    }
+  }
+
   // Poses that the server has reported, taken or not.
   std::uint64_t acknowledged() const {
     const protocol::PoseReport r = client_.report();
@@ -179,6 +196,7 @@ class Player {
                                              {"time_not_rising", r.time_not_rising},
                                              {"queue_full", r.queue_full}}},
                                            {"new_strokes_by_speed_or_gap", r.too_fast},
+                                           {"cut_faces", seen_.faces.load()},
                                            {"recorded", r.recorded},
                                            {"recording", name_of(r.recording)},
                                            {"settled", settled},
@@ -196,7 +214,6 @@ class Player {
                 seconds_, r.accepted, rejected);
     if (rejected > 0) {
       std::printf(" (%" PRIu64 " not finite or more than 10 km away, %" PRIu64
-                                           {"cut_faces", seen_.faces.load()},
                   " without a unit quaternion, %" PRIu64 " with a time that does not rise, %" PRIu64
                   " queue full)",
                   r.not_finite, r.not_unit, r.time_not_rising, r.queue_full);
@@ -221,6 +238,9 @@ class Player {
 
 // Resets the body as an administrator, on a connection of its own; returns when the server has done it.
 void reset_body(const Address& where, Options options) {
+  // The others are told who it was.
+  options.client_name =
+      (options.client_name + " stream, blade " + options.source_name).substr(0, protocol::kMaxNameBytes);
   options.role = protocol::Role::Admin;
   options.view = protocol::View::None;
   std::mutex mutex;
@@ -238,9 +258,6 @@ void reset_body(const Address& where, Options options) {
     std::this_thread::sleep_for(kStep);
     const std::scoped_lock lock(mutex);
     if (!refusal.empty()) throw std::runtime_error("--reset: " + refusal);
-  // The others are told who it was.
-  options.client_name =
-      (options.client_name + " stream, blade " + options.source_name).substr(0, protocol::kMaxNameBytes);
     if (client->status() != Status::kConnected) throw std::runtime_error("--reset: " + client->last_error());
     if (steady_clock::now() - began > std::chrono::duration<double>(kPatience_s)) {
       throw std::runtime_error("--reset: the server has not reset the body; try again");
@@ -284,6 +301,7 @@ int run_stream(const StreamCommand& command, protocol::Motion motion) {
     if (before && !stopped) std::fprintf(stderr, "incise: server: poses are recorded again\n");
   };
   Seen seen;
+  callbacks.on_welcome = RestartNotice();
   callbacks.on_surface_delta = [&](const protocol::SurfaceReplica&, const protocol::SurfaceDelta& delta,
                                    const Arrival&) {
     for (const protocol::Step& step : delta.steps) {
@@ -292,14 +310,13 @@ int run_stream(const StreamCommand& command, protocol::Motion motion) {
       seen.faces += step.cut_faces;
     }
   };
+  callbacks.on_snapshot = [&](const protocol::SnapshotEnd&, protocol::SnapshotCause cause) {
+    using Cause = protocol::SnapshotCause;
+    if (cause == Cause::Resync || cause == Cause::TooSlow) seen.missed = true;
+  };
   const auto client = connect_operator(where, options, std::move(callbacks));
   seen.source = client->welcome().source;
   return Player(command, *client, std::move(motion), seen).run();
 }
 
 }  // namespace incise::client
-  callbacks.on_welcome = RestartNotice();
-  callbacks.on_snapshot = [&](const protocol::SnapshotEnd&, protocol::SnapshotCause cause) {
-    using Cause = protocol::SnapshotCause;
-    if (cause == Cause::Resync || cause == Cause::TooSlow) seen.missed = true;
-  };

@@ -128,6 +128,13 @@ bool StreamInput::is_held(std::string_view source_name) const {
   return sources_.is_held(name_or_default(source_name));
 }
 
+std::vector<std::string> StreamInput::holders() const {
+  std::vector<std::string> names;
+  for (std::uint32_t source = 0; source < core::kMaxSources; ++source)
+    if (sources_.tally(source).open) names.push_back(sources_.name_of(source));
+  return names;
+}
+
 std::string StreamInput::undo(const stream::UndoRequest& request, const Answer& answer) {
   if (!loop_ || !checkpointer_)
     return "this server does not offer it: capture.path or capture.checkpoint_replay_s is off";

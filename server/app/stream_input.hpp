@@ -4,6 +4,7 @@
 #include <optional>
 #include <string>
 #include <string_view>
+#include <vector>
 
 #include "server/app/config.hpp"
 #include "server/input/pose_sources.hpp"
@@ -67,6 +68,7 @@ class StreamInput final : public stream::PeerInput {
                                           const std::optional<protocol::BladeEdge>& own_edge) override;
   std::unique_ptr<stream::PositionsInput> open_positions() override;
   bool is_held(std::string_view source_name) const override;
+  std::vector<std::string> holders() const override;
   std::string undo(const stream::UndoRequest& request, const Answer& answer) override;
   bool reset(const Later& /*later*/) override { return loop_ && loop_->request_reset(); }
   // For the loop's thread, when an undo is done: who asked for it.

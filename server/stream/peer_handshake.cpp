@@ -162,7 +162,12 @@ std::string Peer::why_taken(const std::string& source_name) const {
            " is held by a device at the server (OpenIGTLink, HID or Haply) and cannot be taken over; "
            "choose another name";
   }
-  return "no blade is free for " + name + ": all are held by other sources";
+  std::string by;
+  const std::vector<std::string> holders = context_.input.holders();
+  for (const std::string& holder : holders) by += (by.empty() ? ", by " : ", ") + quoted(holder);
+  return "no blade is free for " + name + ": all " +
+         (holders.empty() ? "" : std::to_string(holders.size()) + " ") + "are held" + by +
+         "; one of them has to leave first";
 }
 
 // Where another server has the blade: waits for its answer. No input is left if that is no.

@@ -10,6 +10,7 @@
 #include <span>
 #include <string>
 #include <string_view>
+#include <vector>
 
 #include "protocol/messages.hpp"
 #include "server/stream/refusal.hpp"
@@ -39,7 +40,6 @@ struct BladeEnd {
   std::string text;
 };
 
-// A blade that an operator holds. Destroying it ends the running stroke and frees the blade.
 // An undo that is asked for: by the operator of blade `source`, whose stroke it has to be, or without one by an admin.
 struct UndoRequest {
   std::optional<std::uint32_t> source;
@@ -47,6 +47,7 @@ struct UndoRequest {
   std::string by;       // Restart::by
 };
 
+// A blade that an operator holds. Destroying it ends the running stroke and frees the blade.
 //
 // Thread: the stream thread.
 class PoseInput {
@@ -97,6 +98,8 @@ class PeerInput {
     static_cast<void>(source_name);
     return false;
   }
+  // The names of the blades that are held now; none where that is not known.
+  virtual std::vector<std::string> holders() const { return {}; }
   // As open(), once this server's own operator has left the blade to another, who asked to take it over.
   virtual std::unique_ptr<PoseInput> take_over(std::string_view source_name,
                                                const std::optional<protocol::BladeEdge>& blade) {

@@ -150,6 +150,8 @@ TEST_F(Incise, AMistakeOnTheCommandLineNamesItAndTheHelp) {
   expect_error(run({"cot"}), 2, {"cot", "incise --help"});
   expect_error(run({"cut"}), 2, {"--mesh is required", "incise cut --help"});
   expect_error(run({"cut", "--mesh"}), 2, {"--mesh"});
+  expect_error(run({"stream", "a.csv", "--to", "127.0.0.1:1", "--source", std::string(300, 'n').c_str()}), 2,
+               {"--source: found a name of 300 bytes; accepted is one of at most 256"});
   expect_error(run({"cut", "--mesh", "a", "--poses", "b", "--out", "c.vtu", "--policy", "sharp"}), 2,
                {"--policy", "sharp"});
   expect_error(run({"cut", "--mesh", "a", "--poses", "b", "--out", "c.vtu", "--frob"}), 2, {"--frob"});
@@ -1192,8 +1194,6 @@ TEST_F(Incise, ACaptureWhoseStrokesWereAllResetIsVerified) {
   EXPECT_EQ(result.err.find("no batch marks"), std::string::npos) << result.err;
 }
 
-TEST_F(Incise, ATornCaptureIsReplayedUpToItsEndAndACorruptOneRefused) {
-  write_cube_and_sweep();
 // What came before a reset is compared as well, and what cannot be is counted and named.
 TEST_F(Incise, AReplayIsVerifiedFromTheStartWhateverWasReset) {
   write_cube_and_sweep();
@@ -1272,6 +1272,8 @@ TEST_F(Incise, AReplayIsVerifiedFromTheStartWhateverWasReset) {
       << result.out;
 }
 
+TEST_F(Incise, ATornCaptureIsReplayedUpToItsEndAndACorruptOneRefused) {
+  write_cube_and_sweep();
   ASSERT_EQ(run({"convert", "sweep.csv", "--mesh", "cube", "--out", "a.capture"}).exit_code, 0);
   const std::string whole = tests::read_file(dir_ / "a.capture");
   write("torn.capture", whole.substr(0, whole.size() - 37));

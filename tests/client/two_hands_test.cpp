@@ -154,5 +154,48 @@ TEST(TwoHands, WatchShowsTheBladesAndTheirNames) {
   EXPECT_EQ(last["server"]["blades"][0]["cut_faces"], 30);
 }
 
+// Whoever loses the connection is told what to do, by what is known of the reason.
+TEST(TwoHands, StreamSaysWhatToDoWhenItsConnectionEnds) {
+  auto test = std::make_unique<TestServer>(3);
+  test->loop.start();
+  StreamCommand command;
+  command.server.address = address_of(*test);
+  const auto failure_of = [&](const std::function<void()>& end) {
+    std::string what;
+    std::jthread playing([&] {
+      try {
+        run_stream(command, motion_of(stream::sweep(9, 20'000, 1'000'000, 0.06)));
+      } catch (const std::exception& error) {
+        what = error.what();
+      }
+    });
+    // It plays.
+    const std::uint64_t before = test->server.counters().messages_in;
+    EXPECT_TRUE(stream::eventually([&] { return test->server.counters().messages_in > before + 10; }));
+    end();
+    playing.join();
+    return what;
+  };
+  ::testing::internal::CaptureStdout();
+  std::unique_ptr<Client> other;
+  std::string what = failure_of([&] {
+    Options options;
+    options.role = Role::Operator;
+    options.source_name = command.source_name;
+    options.take_over = true;
+    other = Client::connect("127.0.0.1", test->server.tcp_port(), options);
+  });
+  EXPECT_NE(what.find("another operator has taken the blade; it acknowledged "), std::string::npos) << what;
+  EXPECT_NE(what.find("; --take-over takes the blade back, --source NAME uses one of your own"),
+            std::string::npos)
+      << what;
+  other.reset();
+  EXPECT_TRUE(stream::eventually([&] { return test->loop.open_count() == 0; }));
+  what = failure_of([&] { test->server.stop(); });
+  EXPECT_NE(what.find("the server stops; it acknowledged "), std::string::npos) << what;
+  EXPECT_NE(what.find("; play the motion again when incised runs again"), std::string::npos) << what;
+  ::testing::internal::GetCapturedStdout();
+}
+
 }  // namespace
 }  // namespace incise::client

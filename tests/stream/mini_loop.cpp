@@ -291,6 +291,14 @@ bool MiniLoop::is_held(std::string_view source_name) const {
   return false;
 }
 
+std::vector<std::string> MiniLoop::holders() const {
+  const std::scoped_lock lock(mutex_);
+  std::vector<std::string> names;
+  for (const Slot& slot : slots_)
+    if (slot.open && !slot.closing) names.push_back(slot.name);
+  return names;
+}
+
 std::size_t MiniLoop::open_count() const {
   const std::scoped_lock lock(mutex_);
   std::size_t open = 0;

@@ -53,6 +53,7 @@ class MiniLoop final : public PeerInput {
   std::unique_ptr<PoseInput> open(std::string_view source_name,
                                   const std::optional<protocol::BladeEdge>& blade) override;
   bool is_held(std::string_view source_name) const override;
+  std::vector<std::string> holders() const override;
   bool reset(const Later& later) override;
   // Is neither done nor refused until a test answers.
   std::string undo(const UndoRequest& request, const Answer& answer) override;

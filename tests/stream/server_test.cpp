@@ -813,6 +813,24 @@ TEST(Server, ABladeWithoutANameIsHeldUnderItsDefault) {
   }
 }
 
+// Who finds no blade free is told how many there are and who holds them, in names that cannot harm a terminal.
+TEST(Server, WhereAllBladesAreHeldTheirHoldersAreNamed) {
+  TestServer test;
+  test.loop.start();
+  std::vector<std::unique_ptr<PoseInput>> held;
+  for (const char* name : {"h0", "h1", "h2", "h3", "h4", "h5", "h6", "left \x1b[31m"})
+    held.push_back(test.loop.open(name, std::nullopt));
+  RawPeer peer(test.server.tcp_port());
+  protocol::Hello wish = hello(Role::Operator, View::None);
+  wish.source_name = "h8";
+  peer.send(wish);
+  const auto error = peer.receive_until<protocol::Error>();
+  ASSERT_TRUE(error);
+  EXPECT_EQ(std::get<protocol::Error>(error->message.body).text,
+            "no blade is free for \"h8\": all 8 are held, by \"h0\", \"h1\", \"h2\", \"h3\", \"h4\", \"h5\", "
+            "\"h6\", \"left ?[31m\"; one of them has to leave first");
+}
+
 // A blade that no operator holds cannot be taken over, and the reason says so.
 TEST(Server, ABladeOfADeviceIsRefusedAsThat) {
   TestServer test;
