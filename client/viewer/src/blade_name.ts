@@ -16,9 +16,16 @@ export class BladeName {
     const field = input("blade-name");
     field.value = this.stored;
     field.addEventListener("change", () => {
+      if (cleaned(field.value) === this.name) return this.tell(); // as it was, also where it is a link's
       localStorage.setItem(kKey, cleaned(field.value));
       this.linked = undefined;
       this.tell();
+    });
+    // Esc leaves the field, and the name as it was.
+    field.addEventListener("keydown", (e) => {
+      if (e.key !== "Escape") return;
+      field.value = this.name;
+      field.blur();
     });
     this.tell();
   }
@@ -38,9 +45,12 @@ export class BladeName {
     return cleaned(localStorage.getItem(kKey));
   }
 
+  private get name(): string {
+    return this.linked ?? this.stored;
+  }
+
   private tell(): void {
-    const name = this.linked ?? this.stored;
-    input("blade-name").value = name;
-    this.changed(name);
+    input("blade-name").value = this.name;
+    this.changed(this.name);
   }
 }

@@ -8,6 +8,7 @@ import { load } from "./modules.mjs";
 
 const {
   answerTo,
+  BladeName,
   Keys,
   Figures,
   Look,
@@ -22,6 +23,7 @@ const {
   PerspectiveCamera,
 } = await load(
   "drop",
+  "blade_name",
   "keys",
   "figures",
   "look",
@@ -42,6 +44,37 @@ for (const name of ["setInterval", "setTimeout"]) {
   const real = globalThis[name];
   globalThis[name] = (...args) => real(...args).unref();
 }
+
+// ---- The name of the page's blade ----
+
+test("Esc in the name's field leaves it with the name as it was", () => {
+  const stored = new Map();
+  globalThis.localStorage = {
+    getItem: (key) => stored.get(key) ?? null,
+    setItem: (key, value) => stored.set(key, value),
+  };
+  const field = byId("blade-name");
+  let left = 0;
+  field.blur = () => {
+    left += 1;
+    field.dispatchEvent({ type: "change" }); // as some browsers do
+  };
+  const told = [];
+  const name = new BladeName((text) => told.push(text));
+  name.follow("a link's");
+  field.value = "half a na";
+  field.dispatchEvent({ type: "keydown", key: "e" });
+  assert.equal(left, 0);
+  field.dispatchEvent({ type: "keydown", key: "Escape" });
+  assert.equal(left, 1);
+  assert.equal(field.value, "a link's");
+  assert.equal(name.inLink, "a link's");
+  assert.equal(told.at(-1), "a link's");
+  field.value = "left";
+  field.dispatchEvent({ type: "change" });
+  assert.equal(told.at(-1), "left");
+  assert.equal(name.inLink, undefined);
+});
 
 // ---- Keys ----
 
