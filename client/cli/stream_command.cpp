@@ -270,10 +270,9 @@ std::unique_ptr<Client> connect_operator(const Address& where, const Options& op
     return connect(where, options, std::move(callbacks));
   } catch (const ConnectError& error) {
     if (error.code != protocol::ErrorCode::BladeTaken || options.take_over) throw;
-    throw ConnectError(
-        std::string(error.what()) +
-            "; --source NAME uses a blade of your own, --take-over takes this one from its holder",
-        error.code);
+    throw ConnectError(std::string(error.what()) +
+                           "; --source NAME uses another blade, --take-over takes it from its holder",
+                       error.code);
   }
 }
 

@@ -693,7 +693,7 @@ TEST_F(CommandsTest, ABladeThatIsHeldComesWithWhatToDo) {
     stream(command);
     ADD_FAILURE() << "two hold a blade";
   } catch (const ConnectError& error) {
-    EXPECT_NE(std::string(error.what()).find("; --source NAME uses a blade of your own, --take-over takes"),
+    EXPECT_NE(std::string(error.what()).find("; --source NAME uses another blade, --take-over takes it"),
               std::string::npos)
         << error.what();
   }
