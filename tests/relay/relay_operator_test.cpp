@@ -294,6 +294,9 @@ TEST(RelayOperator, UndoAndResetReachTheOriginAndItsRefusalsComeBack) {
   const std::uint64_t epoch = viewer.client().welcome().session;
   hand.link->undo();
   EXPECT_TRUE(wait_for([&] { return viewer.client().welcome().session != epoch; })) << hand.said();
+  EXPECT_EQ(viewer.client().welcome().restart,
+            (protocol::Restart{protocol::RestartKind::Undo, Role::Operator, "blade", 0, "blade"}))
+      << "behind a relay, too, it is known who it was";
   EXPECT_EQ(served.settled(viewer.client()), before[1]);
   EXPECT_EQ(viewer.went_back(), 0) << "it goes back in another epoch only";
 
