@@ -18,6 +18,7 @@ using protocol::SnapshotCause;
 using std::chrono::milliseconds;
 
 constexpr int kTakeOverTries = 1000;  // of kQueueRetry each
+constexpr int kLeavingTries = 100;    // likewise
 
 double distance(const protocol::Vec3& a, const protocol::Vec3& b) {
   return std::hypot(a.x - b.x, a.y - b.y, a.z - b.z);
@@ -141,6 +142,13 @@ asio::awaitable<std::optional<Refusal>> Peer::take_blade(const protocol::Hello& 
     if (refusal) co_return refusal;
   }
   std::unique_ptr<PoseInput> input = context_.input.open(hello.source_name, hello.blade);
+  // One whose holder has just left is free once the loop has ended its stroke.
+  for (int i = 0; i < kLeavingTries && !input && stage_ == Stage::kHandshake &&
+                  !others_.holder(hello.source_name) && !context_.input.is_held(hello.source_name);
+       ++i) {
+    co_await pause(kQueueRetry);
+    input = context_.input.open(hello.source_name, hello.blade);
+  }
   std::optional<Refusal> refusal = co_await wait_until_open(input);
   if (!input && hello.take_over && (!refusal || refusal->code == ErrorCode::BladeTaken)) {
     input = co_await take_over(hello);
