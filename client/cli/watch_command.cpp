@@ -300,7 +300,6 @@ class Watcher {
       f.cut_area_m2 = cut_area_;
       f.stats = stats_;
     }
-    if (f.stats && f.stats->pieces > 0) f.pieces = f.stats->pieces;
     f.revision = client_->revision();
     return f;
   }

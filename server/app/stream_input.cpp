@@ -39,7 +39,9 @@ std::string why_not(const loop::UndoAnswer& answer, std::optional<std::uint32_t>
         return "your blade was in its stroke all the time, so nothing was undone: end the stroke (buttons "
                "up, "
                "or StrokeControl End) and ask again";
-      return blade + " is in a stroke, so nothing was undone: ask again when it is lifted";
+      return blade + (asker ? " is in a stroke, so nothing was undone: ask again when it is lifted"
+                            : " was in its stroke all the time, so nothing was undone: ask again when it is "
+                              "lifted");
     case loop::UndoEnd::kBehind:
       return "the server was behind with its cuts all the time, so nothing was undone: ask again when they "
              "are done";

@@ -34,7 +34,7 @@ struct LoopOptions {
   std::size_t most_unread_deltas = 1u << 16;
   // How long finish() may cut; what is left then is in the capture, if there is one.
   std::int64_t longest_finish_ns = INT64_MAX;
-  // How long an undo waits for the asker's stroke to end, and for the cut to catch up.
+  // How long an undo waits for the asker's stroke to end, or an admin's for all, and for the cut to catch up.
   std::int64_t undo_patience_ns = 10'000'000'000;
 };
 
@@ -68,8 +68,8 @@ class FrameLoop {
   using UndoDone = ResetDone;
   void offer_undo(TakeUndone take, UndoDone done);
   // Asks for it: all is as it was before the last stroke that cut something began, at a new session id; with a source in `wish` only if that stroke is
-  // that blade's, and no other has cut since it began unless `wish.others`. Done between strokes: it waits while that blade cuts, but not beyond
-  // LoopOptions::undo_patience_ns, and is given up at once where another one does. It is for the strokes whose first pose was
+  // that blade's, and no other has cut since it began unless `wish.others`. Done between strokes: it waits while that blade cuts, or without a source
+  // while any does, but not beyond LoopOptions::undo_patience_ns, and is given up at once where another one does. It is for the strokes whose first pose was
   // queued before this call: where another one begins before it is done, it is given up. Several that are asked for are done one
   // after the other. `answered`, which may be empty, is called once, on the loop's thread and before `done`; never where the loop ends first. False where
   // it was not offered, or too many wait. From one thread.

@@ -85,7 +85,9 @@ std::unique_ptr<Undone> PendingUndos::advance(const core::CutSession& session, s
     return nullptr;
   }
   if (const auto blade = in_stroke(session, now_->wish.source)) {
-    if (late || blade != now_->wish.source) answer(UndoEnd::kInStroke, *blade);
+    // An operator does not wait for another one; an admin finds them between two strokes.
+    const bool of_another = now_->wish.source && blade != now_->wish.source;
+    if (late || of_another) answer(UndoEnd::kInStroke, *blade);
     return nullptr;
   }
   if (late) {

@@ -16,7 +16,7 @@ namespace incise::loop {
 // What became of an undo.
 enum class UndoEnd {
   kDone,
-  kInStroke,    // another blade is in its stroke, or the asker's did not end in time
+  kInStroke,    // another blade is in its stroke, or one that it waited for did not end it in time
   kBehind,      // the cut, or the checkpointer, did not catch up in time
   kReset,       // the mesh was reset first
   kBegun,       // a stroke began after it was asked for, and before it was done
