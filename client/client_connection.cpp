@@ -134,10 +134,11 @@ asio::awaitable<void> Client::Impl::connect_once() {
   if (const auto* bye = std::get_if<protocol::Bye>(&decoded.message->body)) throw_failure(bye->text);
   const auto* welcome = std::get_if<protocol::Welcome>(&decoded.message->body);
   if (!welcome) throw_failure(std::string("Welcome expected, received ") + name_of(decoded.message->body));
-  // A Welcome on a connection that goes on, after a reset or an undo, is none.
-  if (reconnecting) {
+  {
+    // A Welcome on a connection that goes on, after a reset or an undo, is none of this: what was reported of poses still holds.
     const std::scoped_lock lock(mutex);
-    ++counts.reconnects;
+    last_report = {};
+    if (reconnecting) ++counts.reconnects;
   }
   on_welcome(*welcome);
 }

@@ -38,7 +38,6 @@ void Client::Impl::on_welcome(const protocol::Welcome& welcome) {
   {
     const std::scoped_lock lock(mutex);
     last_welcome = welcome;
-    last_report = {};
     current_status = Status::kConnected;
     error_text.clear();
     bye_reason = protocol::ByeReason::Unknown;

@@ -300,7 +300,11 @@ int run_stream(const StreamCommand& command, protocol::Motion motion) {
     if (before && !stopped) std::fprintf(stderr, "incise: server: poses are recorded again\n");
   };
   Seen seen;
-  callbacks.on_welcome = RestartNotice();
+  callbacks.on_welcome = [&, notice = RestartNotice()](const protocol::Welcome& welcome) mutable {
+    notice(welcome);
+    // What it opened before a reset is closed.
+    if (welcome.revision == 0) seen.faces = 0;
+  };
   callbacks.on_surface_delta = [&](const protocol::SurfaceReplica&, const protocol::SurfaceDelta& delta,
                                    const Arrival&) {
     for (const protocol::Step& step : delta.steps) {

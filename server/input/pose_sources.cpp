@@ -82,15 +82,18 @@ std::optional<PoseSource> PoseSources::open(std::string_view name,
   const auto free = [&](std::size_t i) {
     return slots_[i]->state.load(std::memory_order_acquire) == State::kFree;
   };
+  // Strokes are known by their number: who comes back gets the one that it had, and others the one that nobody has missed for longest.
+  const auto has_name = [&](const auto& slot) { return slot->name == name; };
   std::optional<std::uint32_t> number;
   for (std::uint32_t i = 0; i < slots_.size(); ++i) {
-    if (slots_[i]->name == name && (i < declared_.size() || !free(i))) {
-      if (!free(i)) return std::nullopt;
-      number = i;
-      break;
-    }
-    if (!number && i >= declared_.size() && free(i)) number = i;
+    if (has_name(slots_[i]) && !free(i)) return std::nullopt;
+    const auto idle_since = [&](std::uint32_t slot) {
+      return slots_[slot]->closed_ns.load(std::memory_order_relaxed);
+    };
+    if (i >= declared_.size() && free(i) && (!number || idle_since(i) < idle_since(*number))) number = i;
   }
+  const auto its_own = std::ranges::find_if(slots_, has_name);
+  if (its_own != slots_.end()) number = static_cast<std::uint32_t>(its_own - slots_.begin());
   if (!number) return std::nullopt;
   Slot& slot = *slots_[*number];
   slot.name = name;

@@ -188,6 +188,8 @@ TEST(Recovery, OneHandDoesNotUndoWhatTheOtherHasCutSince) {
       return viewer->welcome().restart ==
              protocol::Restart{protocol::RestartKind::Reset, protocol::Role::Admin, "ward 3", 0, ""};
     }));
+    EXPECT_TRUE(wait_for([&] { return right.link->welcome().restart == viewer->welcome().restart; }));
+    EXPECT_GT(right.link->report().accepted, 150u) << "what became of its poses is still known";
   }
   for (const char* line : {"blade \"left\" is held by \"incise", "blade \"right\" is held by \"incise",
                            "an undo is asked for by \"incise", ", blade \"right\""})

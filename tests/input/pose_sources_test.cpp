@@ -55,6 +55,28 @@ TEST(PoseSources, ASourceSaysThatItOpensThenItsPosesThenThatTheStrokeEnds) {
   EXPECT_EQ(sources.open_count(), 0u);
 }
 
+// What a blade has cut is known by its number.
+TEST(PoseSources, WhoComesBackGetsItsNumberAndOthersTheOneThatIsFreeForLongest) {
+  PoseSources sources(core::Blade{}, {{"device", core::Blade{}}});
+  const auto number_of = [&](const std::string& name) {
+    const auto source = sources.open(name);
+    return source ? source->number() : core::kMaxSources;
+  };
+  const auto leave = [&] { drain(sources); };
+  for (std::uint32_t i = 1; i < core::kMaxSources; ++i) {
+    EXPECT_EQ(number_of("hand " + std::to_string(i)), i)
+        << "none takes that of another while there is a new one";
+    leave();
+  }
+  EXPECT_EQ(number_of("hand 1"), 1u);
+  leave();
+  EXPECT_EQ(number_of("device"), 0u);
+  leave();
+  EXPECT_EQ(number_of("stranger"), 2u) << "hand 1 has been there since";
+  leave();
+  EXPECT_EQ(number_of("hand 2"), 3u);
+}
+
 TEST(PoseSources, MarksTellWhatCameBeforeThem) {
   PoseSources sources(core::Blade{}, {}, 8);
   for (int owner = 0; owner < 5; ++owner) {

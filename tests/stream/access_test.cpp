@@ -214,8 +214,10 @@ TEST_F(AccessTest, OperatorsThatJoinAndLeaveAreLogged) {
     return peer;
   };
   auto left = join("left"), right = join("right");
-  EXPECT_TRUE(told("blade \"left\" is held by \"a ?[31mtest\" at 127.0.0.1:", ""));
-  EXPECT_TRUE(told("blade \"right\" is held by \"a ?[31mtest\" at 127.0.0.1:", ""));
+  EXPECT_TRUE(
+      eventually([&] { return told("blade \"left\" is held by \"a ?[31mtest\" at 127.0.0.1:", ""); }));
+  EXPECT_TRUE(
+      eventually([&] { return told("blade \"right\" is held by \"a ?[31mtest\" at 127.0.0.1:", ""); }));
   left->send(protocol::Bye{}, 2);
   right.reset();
   EXPECT_TRUE(
