@@ -1,10 +1,6 @@
 #include "server/core/cut/conforming/verify_stage.hpp"
 
-#include <cmath>
-
 namespace incise::core {
-
-using namespace tolerance;
 
 void VerifyStage::begin(bool first) {
   next_ = 0;
