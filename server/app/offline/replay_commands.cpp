@@ -75,7 +75,7 @@ Comparison compare(core::CutSession& session, const std::vector<MotionEvent>& ev
   return found;
 }
 
-// On stderr. `where`: of which run it is, or empty.
+// Says on stderr what is wrong with a run. `where`: which run that is, such as " before reset 1"; empty for the last one.
 void print_trouble(const std::string& capture, const std::string& where, const Comparison& found,
                    std::uint64_t revision) {
   if (const Json& difference = found.difference; !difference.is_null()) {
