@@ -1165,6 +1165,13 @@ TEST_F(MeetingHands, PartWhatIsThickInPlaces) {
   cut_and_judge("bullet_ditto.vtk", "geomagic_liver", {2100});
 }
 
+// Films whose two sides lie as far off what was swept as cuts that meet may, and are 0.251 to 0.268 h thick in the mean by that, came off as pieces.
+TEST_F(MeetingHands, LeaveUnevenFilmsWhereTheyAre) {
+  cut_and_judge("bullet_ditto.vtk", "geomagic_liver", {3201});
+  cut_and_judge("bullet_ditto.vtk", "tum_fr1_xyz", {3202});
+  cut_and_judge("seed_3234", "tum_fr1_xyz", {1602});
+}
+
 // Faces that were on what the same stroke had swept long before, and one that a look from near took for a lobe of the body, held 50 and 44 h^3; asked for
 // less, the whole part decides too often, and five tetrahedra of the wound came off.
 TEST_F(MeetingHands, PartWhatTheyHaveSweptAround) {

@@ -35,23 +35,25 @@ struct Extent {
     const bool opens = mesh.opposite(h) != kNone;
     if (opens || (mesh.cut_mask(tet_of(h)) >> face_of(h) & 1) != 0) cut_area_m2 += face_m2;
   }
+  bool is_between_cuts() const { return cut_area_m2 >= tolerance::kBetweenCuts * area_m2; }
   // Whether they are too small to be a part of the tissue, whatever their shape.
   bool is_crumb(double h) const { return volume_m3 < tolerance::kLeastPart_h3 * h * h * h; }
   // The largest volume that a film with that surface has. A film has two sides, and one of them at least is a cut: what sticks out of the
   // body may be as thin.
   double film_m3(double h) const {
-    const bool between_cuts = cut_area_m2 >= tolerance::kBetweenCuts * area_m2;
-    return (between_cuts ? tolerance::kOne_h : tolerance::kFilm_h) * h * std::min(0.5 * area_m2, cut_area_m2);
+    return (is_between_cuts() ? tolerance::kOne_h : tolerance::kFilm_h) * h *
+           std::min(0.5 * area_m2, cut_area_m2);
   }
   // What is no film holds so much, at least, farther from the cuts than kDeep_h. A large film does so in places.
   double least_deep_h3(double h) const {
     return std::clamp(tolerance::kDeepPart * volume_m3 / (h * h * h), tolerance::kLeastDeep_h3,
                       tolerance::kLeastPart_h3);
   }
-  // Of one that lies along a cut, if no part of it is deep.
+  // Of one that lies along a cut, or between cuts, if no part of it is deep.
   double shallow_m3(double h) const {
     if (cut_area_m2 < tolerance::kAlongCut * area_m2) return 0;
-    return tolerance::kOne_h * h * std::min(0.5 * area_m2, cut_area_m2);
+    return (is_between_cuts() ? tolerance::kUneven_h : tolerance::kOne_h) * h *
+           std::min(0.5 * area_m2, cut_area_m2);
   }
 };
 
