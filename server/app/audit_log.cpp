@@ -5,12 +5,13 @@
 namespace incise::app {
 
 void AuditLog::write(stream::Audit kind, const std::string& address, const std::string& line) {
-  const auto level = kind == stream::Audit::kRefused ? spdlog::level::warn : spdlog::level::info;
-  logs_[static_cast<std::size_t>(kind)].write(level, address, line, monotonic_ns());
+  const bool refused = kind == stream::Audit::kRefused;
+  input::LimitedLog& log = refused ? refused_ : kind == stream::Audit::kBlade ? blades_ : resets_;
+  log.write(refused ? spdlog::level::warn : spdlog::level::info, address, line, monotonic_ns());
 }
 
 void AuditLog::flush() {
-  for (input::LimitedLog& log : logs_) log.flush(monotonic_ns());
+  for (input::LimitedLog* log : {&refused_, &blades_, &resets_}) log->flush(monotonic_ns());
 }
 
 }  // namespace incise::app

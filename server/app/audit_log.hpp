@@ -1,6 +1,5 @@
 #pragma once
 
-#include <array>
 #include <string>
 
 #include "server/input/limited_log.hpp"
@@ -8,7 +7,8 @@
 
 namespace incise::app {
 
-// Log lines on who was refused, and on what peers did that others notice. Each kind has limits of its own.
+// Log lines on who was refused, and on what peers did that others notice. Each kind has limits of its own. Who takes or leaves a blade, resets or undoes has
+// been let in, and each such line matters: a hundred at once, then one a second, come from an address before any is left out.
 //
 // Thread: any.
 class AuditLog {
@@ -18,7 +18,8 @@ class AuditLog {
   void flush();
 
  private:
-  std::array<input::LimitedLog, stream::kAudits> logs_;
+  static constexpr input::LimitedLog::Limit kLetIn{100, 1};
+  input::LimitedLog refused_, blades_{kLetIn}, resets_{kLetIn};
 };
 
 }  // namespace incise::app

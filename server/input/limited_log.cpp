@@ -6,18 +6,20 @@
 
 namespace incise::input {
 
-LimitedLog::LimitedLog()
+LimitedLog::LimitedLog(Limit limit)
     : LimitedLog(
-          [](spdlog::level::level_enum level, const std::string& line) { spdlog::log(level, "{}", line); }) {}
+          [](spdlog::level::level_enum level, const std::string& line) { spdlog::log(level, "{}", line); },
+          limit) {}
 
-double LimitedLog::tokens_at(const Address& address, std::int64_t now_ns) {
+double LimitedLog::used_at(const Address& address, std::int64_t now_ns) const {
   const double seconds = 1e-9 * static_cast<double>(now_ns - address.last_ns);
-  return std::min(kBurst, address.tokens + seconds / kEach_s);
+  return std::max(0.0, address.used - seconds / limit_.each_s);
 }
 
-void LimitedLog::refill(Address& address, std::int64_t now_ns) {
-  address.tokens = tokens_at(address, now_ns);
+bool LimitedLog::may_write(Address& address, std::int64_t now_ns) const {
+  address.used = used_at(address, now_ns);
   address.last_ns = now_ns;
+  return address.used + 1 <= limit_.at_once;
 }
 
 // Addresses that have nothing left to say are forgotten where there is no room.
@@ -25,8 +27,8 @@ LimitedLog::Address& LimitedLog::address_of(const std::string& name, std::int64_
   const auto known = addresses_.find(name);
   if (known != addresses_.end()) return known->second;
   if (addresses_.size() >= kMaxAddresses) {
-    std::erase_if(addresses_, [now_ns](const auto& entry) {
-      return tokens_at(entry.second, now_ns) >= kBurst && entry.second.left_out == 0;
+    std::erase_if(addresses_, [&](const auto& entry) {
+      return used_at(entry.second, now_ns) == 0 && entry.second.left_out == 0;
     });
   }
   if (addresses_.size() >= kMaxAddresses) return others_;
@@ -37,31 +39,29 @@ void LimitedLog::write(spdlog::level::level_enum level, const std::string& addre
                        std::int64_t now_ns) {
   const std::scoped_lock lock(mutex_);
   Address& from = address_of(address, now_ns);
-  refill(from, now_ns);
-  if (from.left_out == 0 && from.tokens >= 1) {
-    from.tokens -= 1;
+  const bool may = may_write(from, now_ns);
+  if (may && from.left_out == 0) {
+    from.used += 1;
     write_(level, line);
     return;
   }
   ++from.left_out;
   from.level = level;
   from.last_line = line;
-  if (from.tokens >= 1) write_left_out(from);
+  if (may) write_left_out(from);
 }
 
 void LimitedLog::flush(std::int64_t now_ns) {
   const std::scoped_lock lock(mutex_);
   const auto flush_one = [&](Address& address) {
-    if (address.left_out == 0) return;
-    refill(address, now_ns);
-    if (address.tokens >= 1) write_left_out(address);
+    if (address.left_out > 0 && may_write(address, now_ns)) write_left_out(address);
   };
   for (auto& [name, address] : addresses_) flush_one(address);
   flush_one(others_);
 }
 
 void LimitedLog::write_left_out(Address& address) {
-  address.tokens -= 1;
+  address.used += 1;
   const std::uint64_t others = address.left_out - 1;
   write_(address.level, others == 0 ? address.last_line
                                     : fmt::format("{} ({} {} like this left out)", address.last_line, others,

@@ -13,7 +13,7 @@ constexpr auto kWarn = spdlog::level::warn;
 
 struct LimitedLogTest : ::testing::Test {
   std::vector<std::string> lines;
-  LimitedLog log{[this](spdlog::level::level_enum, const std::string& line) { lines.push_back(line); }};
+  LimitedLog log{[this](spdlog::level::level_enum, const std::string& line) { lines.push_back(line); }, {}};
 
   void flood(const std::string& address, int count, std::int64_t now_ns) {
     for (int i = 0; i < count; ++i) log.write(kWarn, address, address + " refused", now_ns);
@@ -28,6 +28,22 @@ TEST_F(LimitedLogTest, TenLinesAtOnceThenOneInFiveSeconds) {
   flood("a", 1, 6 * kSecond);
   ASSERT_EQ(lines.size(), 11u);
   EXPECT_EQ(lines.back(), "a refused (21 lines like this left out)");
+}
+
+TEST_F(LimitedLogTest, AnotherLimit) {
+  lines.clear();
+  LimitedLog patient{[this](spdlog::level::level_enum, const std::string& line) { lines.push_back(line); },
+                     {100, 1}};
+  const auto write = [&](int count, double at_s) {
+    for (int i = 0; i < count; ++i)
+      patient.write(spdlog::level::info, "a", "line", static_cast<std::int64_t>(1e9 * at_s));
+  };
+  write(120, 0);
+  EXPECT_EQ(lines.size(), 100u);
+  patient.flush(1'000'000'000);
+  EXPECT_EQ(lines.back(), "line (19 lines like this left out)");
+  write(4, 4.5);
+  EXPECT_EQ(lines.size(), 104u);
 }
 
 TEST_F(LimitedLogTest, WhatWasLeftOutIsWrittenInTimeWithoutAnotherLine) {
