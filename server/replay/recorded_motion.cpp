@@ -45,7 +45,9 @@ struct RecordReader {
     motion.marks.push_back(record);
     motion.events_before.push_back(motion.events.size());
   }
-  void operator()(const protocol::NoteRecord& record) { motion.notes.push_back(record.json); }
+  void operator()(const protocol::NoteRecord& record) {
+    if (!motion.gap) motion.notes.push_back({record.json, motion.events.size()});
+  }
   void operator()(const protocol::GapRecord& record) {
     if (motion.gap) return;
     motion.gap.emplace();
@@ -62,6 +64,7 @@ struct RecordReader {
     if (before_resets == BeforeResets::kKeep)
       motion.earlier.push_back({std::move(motion.events), std::move(motion.marks)});
     motion.events.clear();
+    motion.notes.clear();
     motion.marks.clear();
     motion.events_before.clear();
     motion.checkpoints.clear();
@@ -91,6 +94,8 @@ struct RecordReader {
       return;
     }
     motion.events.erase(std::next(began).base(), motion.events.end());
+    std::erase_if(motion.notes,
+                  [&](const RecordedMotion::Note& note) { return note.events > motion.events.size(); });
     const auto later = [&](const protocol::BatchMark& mark) { return mark.revision > record.revision; };
     for (std::size_t i = motion.marks.size(); i-- > 0;) {
       if (!later(motion.marks[i])) continue;

@@ -37,8 +37,12 @@ struct RecordedMotion {
   std::vector<protocol::BatchMark> marks;
   std::vector<std::size_t> events_before;  // each of marks
   std::vector<protocol::CheckpointRecord> checkpoints;
-  std::vector<std::string> notes;  // of the whole capture
-  std::uint64_t session = 0;       // its id, after the last reset
+  struct Note {
+    std::string json;
+    std::size_t events = 0;  // before it
+  };
+  std::vector<Note> notes;    // as events: since the last reset, without those of what was undone
+  std::uint64_t session = 0;  // its id, after the last reset
   std::uint64_t resets = 0;
   std::uint64_t undos = 0;  // since then: what was undone is not among events and marks
   // It was read from a place in the midst, and an undo led back to before that: nothing of this is of use.

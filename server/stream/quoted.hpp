@@ -2,13 +2,13 @@
 
 #include <string>
 
+#include "protocol/printable.hpp"
+
 namespace incise::stream {
 
 // A peer's text, safe to write to a log.
 inline std::string quoted(const std::string& text) {
-  std::string out = "\"";
-  for (const char c : text.substr(0, 64)) out += c >= ' ' && c <= '~' && c != '"' ? c : '?';
-  return out + '"';
+  return '"' + protocol::printable(text, 64) + '"';
 }
 
 }  // namespace incise::stream

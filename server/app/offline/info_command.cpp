@@ -261,7 +261,10 @@ Json describe_motion(const RecordedMotion& motion) {
   const auto names = source_names(motion);
   for (auto& [number, figures] : by_source) {
     sources.push_back(figures.json(number));
-    if (const auto known = names.find(number); known != names.end()) sources.back()["names"] = known->second;
+    if (const auto known = names.find(number); known != names.end()) {
+      sources.back()["names"] = known->second.names;
+      if (known->second.others > 0) sources.back()["other_names"] = known->second.others;
+    }
   }
   facts["sources"] = sources;
   if (bounded) facts["box_m"] = corners(bounds);
@@ -368,13 +371,15 @@ void print(const Json& facts) {
       for (const Json& source : value) {
         std::string line;
         for (const auto& [key, number] : source.items()) {
-          if (key == "source" || key == "names") continue;
+          if (key == "source" || key == "names" || key == "other_names") continue;
           line += (line.empty() ? "" : ", ") + key + " " +
                   (number.is_number_float() ? short_number(number.get<double>()) : number.dump());
         }
         std::string names;
         for (const Json& holder : source.value("names", Json::array()))
           names += (names.empty() ? "" : ", ") + client::shown_name(holder.get<std::string>());
+        if (const std::size_t others = source.value("other_names", std::size_t{0}); others > 0)
+          names += " and " + std::to_string(others) + (others == 1 ? " other" : " others");
         print_row("source " + source["source"].dump(), names.empty() ? line : names + ": " + line);
       }
     } else if (name == "fields") {

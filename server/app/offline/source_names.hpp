@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <map>
 #include <string>
@@ -9,8 +10,13 @@
 
 namespace incise::app {
 
-// The names that a capture has for its sources: those of their holders, as its notes have them, and of the configuration. Each once, in
-// order, and only the first few of a source.
-std::map<std::uint32_t, std::vector<std::string>> source_names(const RecordedMotion& motion);
+struct SourceNames {
+  std::vector<std::string> names;  // the first few
+  std::size_t others = 0;          // how many more there are
+};
+
+// The names that a capture has for its sources: of the holders whose poses are in its state, each once, in order. Where no note says who they were, those of the
+// configuration.
+std::map<std::uint32_t, SourceNames> source_names(const RecordedMotion& motion);
 
 }  // namespace incise::app
