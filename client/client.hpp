@@ -139,10 +139,10 @@ class Client {
   bool subscribe(protocol::View view, float max_rate_hz);
   // Administrators: restores the mesh as it was loaded, for everyone.
   bool reset();
-  // Operators with a blade, and administrators: goes back to the state before the last stroke that cut something, for everyone. A
+  // Operators with a blade, and administrators: goes back to the state before the last stroke that cut something (an operator: its own), for everyone. A
   // refusal comes as an error, as late as ten seconds after: the server waits while this operator's blade cuts. Refused, too, where a
-  // stroke begins before it is done (wait for Callbacks::on_welcome), where another blade is in a stroke, and to operators where another
-  // blade has cut since their stroke began: with `others` that is undone as well.
+  // stroke begins before it is done (wait for Callbacks::on_welcome), where another blade is in a stroke, and to operators where other
+  // blades have cut since their stroke began: with `others` that is undone as well.
   bool undo(bool others = false);
 
   Status status() const;

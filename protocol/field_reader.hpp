@@ -259,8 +259,11 @@ class FieldReader {
     if (value == nullptr) return std::nullopt;
     const bool known = value->kind() <= wire::RestartKind::MAX;
     return Restart{known ? static_cast<RestartKind>(value->kind()) : RestartKind::None,
-                   enumeration<Role>("restart.role", value->role()), text("restart.by", value->by()),
-                   value->source(), text("restart.blade", value->blade())};
+                   enumeration<Role>("restart.role", value->role()),
+                   text("restart.by", value->by()),
+                   value->source(),
+                   text("restart.blade", value->blade()),
+                   texts("restart.others", value->others())};
   }
 
   std::vector<BladeStats> blade_stats(const Vec<flatbuffers::Offset<wire::BladeStats>>* values) {

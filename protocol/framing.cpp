@@ -100,8 +100,9 @@ Offset<Vec<Offset<wire::FieldFacts>>> field_facts(FlatBufferBuilder& b,
 Offset<wire::Restart> restart(FlatBufferBuilder& b, const std::optional<Restart>& value) {
   if (!value) return {};
   const auto by = text(b, value->by), blade = text(b, value->blade);
+  const auto others = texts(b, value->others);
   return wire::CreateRestart(b, wire::RestartKind(value->kind), wire::Role(value->role), by, value->source,
-                             blade);
+                             blade, others);
 }
 
 Offset<Vec<Offset<wire::BladeStats>>> blade_stats(FlatBufferBuilder& b,

@@ -106,6 +106,7 @@ struct Restart {
   std::string by;
   std::uint32_t source = 0;
   std::string blade;
+  std::vector<std::string> others = {};
   friend bool operator==(const Restart&, const Restart&) = default;
 };
 

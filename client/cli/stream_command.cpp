@@ -51,7 +51,7 @@ struct Seen {
   std::atomic<std::uint32_t> source{UINT32_MAX};  // the number of this blade, once it is known
   std::atomic<std::uint64_t> last_cut{0};         // revision of its last batch
   std::atomic<std::uint64_t> faces{0};            // that it has opened
-  std::atomic<bool> missed{false};                // a snapshot came in the place of deltas
+  std::atomic<bool> missed{false};  // a snapshot came in the place of deltas, or took back what it had opened
 };
 
 class Player {
@@ -300,10 +300,16 @@ int run_stream(const StreamCommand& command, protocol::Motion motion) {
     if (before && !stopped) std::fprintf(stderr, "incise: server: poses are recorded again\n");
   };
   Seen seen;
+  std::vector<std::pair<std::uint64_t, std::uint64_t>>
+      opened;  // at this revision so many faces; the client's thread
   callbacks.on_welcome = [&, notice = RestartNotice()](const protocol::Welcome& welcome) mutable {
     notice(welcome);
-    // What it opened before a reset is closed.
-    if (welcome.revision == 0) seen.faces = 0;
+    // What it has opened since is closed after a reset or an undo.
+    while (!opened.empty() && opened.back().first > welcome.revision) {
+      seen.faces -= opened.back().second;
+      seen.missed = true;
+      opened.pop_back();
+    }
   };
   callbacks.on_surface_delta = [&](const protocol::SurfaceReplica&, const protocol::SurfaceDelta& delta,
                                    const Arrival&) {
@@ -311,6 +317,7 @@ int run_stream(const StreamCommand& command, protocol::Motion motion) {
       if (step.stroke == 0 || step.source != seen.source) continue;
       seen.last_cut = step.revision;
       seen.faces += step.cut_faces;
+      if (step.cut_faces > 0) opened.emplace_back(step.revision, step.cut_faces);
     }
   };
   callbacks.on_snapshot = [&](const protocol::SnapshotEnd&, protocol::SnapshotCause cause) {

@@ -84,8 +84,8 @@ CaptureJournal::CaptureJournal(const std::string& path, std::uint64_t offset, st
 
 void CaptureJournal::write(const loop::JournalRecord& record) {
   writer_.append(to_capture(record));
-  if (record.kind != loop::JournalRecord::Kind::kOpened || !name_of_) return;
-  const nlohmann::ordered_json note{{"source", record.source}, {"name", name_of_(record.source)}};
+  if (record.kind != loop::JournalRecord::Kind::kOpened || !record.name) return;
+  const nlohmann::ordered_json note{{"source", record.source}, {"name", *record.name}};
   // A name is what a client has sent.
   writer_.append(
       protocol::NoteRecord{note.dump(-1, ' ', false, nlohmann::ordered_json::error_handler_t::replace)});

@@ -23,8 +23,6 @@ class CaptureJournal final : public loop::JournalSink {
   void keep_free(double share) { keep_free_ = share; }
   // From here on flush() fails while this is false: another process may write the file.
   void write_while(std::function<bool()> may_write) { may_write_ = std::move(may_write); }
-  // From here on a note names each source that is opened.
-  void name_sources(std::function<std::string(std::uint32_t)> name_of) { name_of_ = std::move(name_of); }
   void write(const loop::JournalRecord& record) override;
   void flush() override;
   void sync() override;
@@ -38,7 +36,6 @@ class CaptureJournal final : public loop::JournalSink {
   std::uint64_t room_to_go_on() const;
   std::string path_;
   std::function<bool()> may_write_;  // empty: always
-  std::function<std::string(std::uint32_t)> name_of_;
   double keep_free_ = 0;
   std::error_code failure_;      // of the last flush
   bool low_ = false;             // there was no room at the last look

@@ -86,13 +86,9 @@ stream::InitialState build(Body& body, bool resume) {
 }
 
 Recording open_recording(const Config& config, const Body& body, const stream::InitialState& shown,
-                         bool resume, std::function<bool()> may_write, const input::PoseSources& sources,
-                         std::int64_t started_ns) {
+                         bool resume, std::function<bool()> may_write, std::int64_t started_ns) {
   Recording recording = resume ? resume_recording(config, body) : begin_recording(config, body, shown);
-  if (recording.journal) {
-    recording.journal->write_while(may_write);
-    recording.journal->name_sources([&sources](std::uint32_t source) { return sources.name_of(source); });
-  }
+  if (recording.journal) recording.journal->write_while(may_write);
   recording.may_write = std::move(may_write);
   recording.shown.before.origins = body.origins;
   spdlog::info("{}: {} vertices, {} tetrahedra, h = {:.4g} m, ready in {:.1f} s", body.name,
@@ -206,8 +202,7 @@ RunningServer::RunningServer(const Config& config, bool resume, ClusterLink& clu
       body_(load_and_log(config)),
       surface_(serve_surface(config, body_)),
       as_loaded_(build(body_, resume)),
-      recording_(
-          open_recording(config, body_, as_loaded_, resume, cluster.may_write(), sources_, started_ns_)),
+      recording_(open_recording(config, body_, as_loaded_, resume, cluster.may_write(), started_ns_)),
       saved_(save_for_checkpoints(config, session())),
       tissue_(begin_tissue(config, body_, session())),
       undone_(body_.origins),

@@ -5,6 +5,7 @@
 
 #include "protocol/blade_name.hpp"
 #include "server/app/offline/recorded_motion.hpp"
+#include "server/app/offline/terminal.hpp"
 #include "server/stream/quoted.hpp"
 
 namespace incise::app {
@@ -27,38 +28,46 @@ std::string_view name_or_default(std::string_view source_name) {
   return source_name.empty() ? protocol::kDefaultBladeName : source_name;
 }
 
-// As they were when an undo was asked for.
-using BladeNames = std::array<std::string, core::kMaxSources>;
+// blade "a"; blades "a" and "b".
+std::string blades(const std::vector<std::string>& names) {
+  std::string text = names.size() == 1 ? "blade " : "blades ";
+  for (std::size_t i = 0; i < names.size(); ++i)
+    text += (i == 0 ? "" : i + 1 < names.size() ? ", " : " and ") + stream::quoted(names[i]);
+  return text;
+}
 
 std::string why_not(const loop::UndoAnswer& answer, std::optional<std::uint32_t> asker,
-                    const BladeNames& names) {
-  const std::string blade = "blade " + stream::quoted(names[answer.blade]);
+                    const std::string& silence) {
+  const std::string until = "it is lifted, or has sent no pose for " + silence + " s";
   switch (answer.end) {
     case loop::UndoEnd::kInStroke:
-      if (answer.blade == asker)
+      if (answer.source == asker)
         return "your blade was in its stroke all the time, so nothing was undone: end the stroke (buttons "
                "up, "
                "or StrokeControl End) and ask again";
-      return blade + (asker ? " is in a stroke, so nothing was undone: ask again when it is lifted"
-                            : " was in its stroke all the time, so nothing was undone: ask again when it is "
-                              "lifted");
+      return blades(answer.blades) + (asker ? " is in a stroke" : " was in its stroke all the time") +
+             ", so nothing was undone: ask again when " + until;
     case loop::UndoEnd::kBehind:
       return "the server was behind with its cuts all the time, so nothing was undone: ask again when they "
              "are done";
     case loop::UndoEnd::kReset:
       return "the mesh was reset first: there is no stroke to undo";
     case loop::UndoEnd::kBegun:
-      return "a stroke has begun since, of " + blade +
+      return "a stroke has begun since, of " + blades(answer.blades) +
              ", so nothing was undone: ask again when no blade cuts, and begin the next stroke when it is "
              "done";
     case loop::UndoEnd::kNoStroke:
+      if (answer.was_reset)
+        return "there is no stroke to undo: the mesh was reset, and what was cut before that is gone for "
+               "good";
       return "there is no stroke to undo: only those since the server's start can be undone, as far back as "
              "it keeps states";
     case loop::UndoEnd::kOtherBlade:
-      return "the last stroke is that of " + blade + ": its operator or an admin may undo it";
+      return "the last stroke is that of " + blades(answer.blades) +
+             ", and your blade has none to undo: its operator or an admin may undo it";
     case loop::UndoEnd::kOtherCut:
-      return blade +
-             " has cut since your last stroke began, and that would be undone, too: ask for both with "
+      return blades(answer.blades) + (answer.blades.size() == 1 ? " has" : " have") +
+             " cut since your last stroke began, and that would be undone, too: ask for both with "
              "Undo.others "
              "(on the page: Shift and a click on Undo), or leave it";
     case loop::UndoEnd::kDone:
@@ -141,21 +150,22 @@ std::string StreamInput::undo(const stream::UndoRequest& request, const Answer& 
   if (!loop_ || !checkpointer_)
     return "this server does not offer it: capture.path or capture.checkpoint_replay_s is off";
   if (!checkpointer_->following()) return "the server has lost the way back; a Reset makes it possible again";
-  BladeNames names;
-  for (std::uint32_t source = 0; source < names.size(); ++source) names[source] = sources_.name_of(source);
-  const bool waits = loop_->request_undo(
-      {request.source, request.others},
-      [this, request, answer, names = std::move(names)](const loop::UndoAnswer& end) {
-        if (end.end == loop::UndoEnd::kDone) {
-          const auto role = request.source ? protocol::Role::Operator : protocol::Role::Admin;
-          undone_ = std::make_shared<const protocol::Restart>(
-              protocol::Restart{protocol::RestartKind::Undo, role, request.by, end.blade, names[end.blade]});
-          answer(std::nullopt);
-        } else {
-          answer(stream::Refusal{protocol::ErrorCode::NotAvailable,
-                                 "Undo: " + why_not(end, request.source, names)});
-        }
-      });
+  loop::UndoWish wish{request.source, nullptr, request.others};
+  if (request.source) wish.name = std::make_shared<const std::string>(sources_.name_of(*request.source));
+  const bool waits = loop_->request_undo(std::move(wish), [this, request,
+                                                           answer](const loop::UndoAnswer& end) {
+    if (end.end == loop::UndoEnd::kDone) {
+      const auto role = request.source ? protocol::Role::Operator : protocol::Role::Admin;
+      std::vector<std::string> others(end.blades.begin() + 1, end.blades.end());
+      others.resize(std::min<std::size_t>(others.size(), protocol::kMaxFields));
+      undone_ = std::make_shared<const protocol::Restart>(protocol::Restart{
+          protocol::RestartKind::Undo, role, request.by, end.source, end.blades.front(), std::move(others)});
+      answer(std::nullopt);
+    } else {
+      answer(stream::Refusal{protocol::ErrorCode::NotAvailable,
+                             "Undo: " + why_not(end, request.source, short_number(config_.cut.gap_limit_s))});
+    }
+  });
   return waits ? "" : "too many wait already: ask again when these are done";
 }
 

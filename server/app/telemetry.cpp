@@ -136,10 +136,11 @@ std::string Telemetry::json() const {
   for (std::uint32_t source = 0; source < core::kMaxSources; ++source) {
     const std::string name = sources_.name_of(source);
     if (name.empty()) continue;
-    const protocol::BladeStats blade = blade_stats(source, blades[source]);
+    const input::PoseSources::Tally tally = sources_.tally(source);
+    const protocol::BladeStats blade = blade_stats(source, blades[source], tally);
     root["blades"].push_back({{"source", source},
                               {"name", name},
-                              {"held", sources_.tally(source).open},
+                              {"held", tally.open},
                               {"poses", blade.poses},
                               {"rejected", blade.rejected},
                               {"strokes", blade.strokes},
@@ -331,8 +332,8 @@ std::string Telemetry::metrics() const {
   return out;
 }
 
-protocol::BladeStats Telemetry::blade_stats(std::uint32_t source, const loop::BladeNow& blade) const {
-  const input::PoseSources::Tally tally = sources_.tally(source);
+protocol::BladeStats Telemetry::blade_stats(std::uint32_t source, const loop::BladeNow& blade,
+                                            const input::PoseSources::Tally& tally) const {
   return {source,
           sources_.name_of(source),
           tally.accepted,
@@ -356,10 +357,12 @@ protocol::Stats Telemetry::message() const {
         count;
   }
   stats.frame_work_p99_us = static_cast<float>(us(stats_.frame_work.quantile_ns(0.99)));
-  if (journal_ && journal_->checkpointer()) stats.undoable = journal_->checkpointer()->undoable().strokes;
+  if (journal_ && journal_->checkpointer()) stats.undoable = journal_->checkpointer()->undoable();
   const loop::BladesNow blades = stats_.blades.load();
-  for (std::uint32_t source = 0; source < blades.size(); ++source)
-    if (sources_.tally(source).open) stats.blades.push_back(blade_stats(source, blades[source]));
+  for (std::uint32_t source = 0; source < blades.size(); ++source) {
+    const input::PoseSources::Tally tally = sources_.tally(source);
+    if (tally.open) stats.blades.push_back(blade_stats(source, blades[source], tally));
+  }
   stats.pose_to_delta_p99_us = static_cast<float>(us(stats_.pose_to_cut.quantile_ns(0.99)));
   return stats;
 }

@@ -44,7 +44,8 @@ class Telemetry {
   std::vector<protocol::BladePose> blades() const;
 
  private:
-  protocol::BladeStats blade_stats(std::uint32_t source, const loop::BladeNow& blade) const;
+  protocol::BladeStats blade_stats(std::uint32_t source, const loop::BladeNow& blade,
+                                   const input::PoseSources::Tally& tally) const;
 
   const loop::LoopStats& stats_;
   const input::PoseSources& sources_;

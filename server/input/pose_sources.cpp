@@ -28,7 +28,7 @@ std::size_t PoseSource::enqueue(std::span<const TimedPose> poses) {
   SpscQueue<InputEvent>& queue = sources_->slots_[number_]->queue;
   std::size_t taken = 0;
   for (const TimedPose& pose : poses) {
-    if (!queue.push(InputEvent{InputEvent::Kind::kPose, pose, {}, 0})) break;
+    if (!queue.push(InputEvent{InputEvent::Kind::kPose, pose, {}, 0, nullptr})) break;
     ++taken;
   }
   if (taken > 0) sources_->doorbell_.ring();
@@ -38,7 +38,7 @@ std::size_t PoseSource::enqueue(std::span<const TimedPose> poses) {
 bool PoseSource::end_stroke(std::int64_t arrival_ns) {
   if (sources_->closed_.load(std::memory_order_acquire)) return false;
   const bool taken = sources_->slots_[number_]->queue.push(
-      InputEvent{InputEvent::Kind::kEndStroke, {{}, arrival_ns}, {}, 0});
+      InputEvent{InputEvent::Kind::kEndStroke, {{}, arrival_ns}, {}, 0, nullptr});
   if (taken) sources_->doorbell_.ring();
   return taken;
 }
@@ -82,7 +82,7 @@ std::optional<PoseSource> PoseSources::open(std::string_view name,
   const auto free = [&](std::size_t i) {
     return slots_[i]->state.load(std::memory_order_acquire) == State::kFree;
   };
-  // Strokes are known by their number: who comes back gets the one that it had, and others the one that nobody has missed for longest.
+  // Who comes back gets the number that it had, and others the one that nobody has missed for longest.
   const auto has_name = [&](const auto& slot) { return slot->name == name; };
   std::optional<std::uint32_t> number;
   for (std::uint32_t i = 0; i < slots_.size(); ++i) {
@@ -104,7 +104,11 @@ std::optional<PoseSource> PoseSources::open(std::string_view name,
   const core::Blade& blade = own_blade                    ? *own_blade
                              : *number < declared_.size() ? declared_[*number].blade
                                                           : blade_;
-  slot.queue.push(InputEvent{InputEvent::Kind::kOpened, {{}, monotonic_ns()}, blade, ++slot.owners});
+  slot.queue.push(InputEvent{InputEvent::Kind::kOpened,
+                             {{}, monotonic_ns()},
+                             blade,
+                             ++slot.owners,
+                             std::make_shared<const std::string>(name)});
   slot.state.store(State::kOpen, std::memory_order_release);
   return PoseSource(this, *number, slot.owners);
 }

@@ -36,7 +36,8 @@ struct InputEvent {
   Kind kind = Kind::kPose;
   TimedPose pose;  // of kOpened and kEndStroke: arrival_ns only
   core::Blade blade;
-  std::uint32_t owner = 0;  // of kOpened: the owner's number
+  std::uint32_t owner = 0;                  // of kOpened: the owner's number
+  std::shared_ptr<const std::string> name;  // of kOpened: the owner's; one object for each owner
 };
 
 // What has become of a source's poses since the source was opened. Counts the poses that the loop has drained; where
@@ -184,7 +185,8 @@ void PoseSources::drain(Handle&& handle) {
       if (!handle(source, event)) return;
     }
     if (state == State::kClosing && slot.queue.size() == 0) {
-      event = {InputEvent::Kind::kEndStroke, {{}, slot.closed_ns.load(std::memory_order_relaxed)}, {}, 0};
+      event = {
+          InputEvent::Kind::kEndStroke, {{}, slot.closed_ns.load(std::memory_order_relaxed)}, {}, 0, nullptr};
       const bool go_on = handle(source, event);
       slot.state.store(State::kFree, std::memory_order_release);
       if (!go_on) return;

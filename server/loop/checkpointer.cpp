@@ -196,7 +196,7 @@ void Checkpointer::handle(const Item& item) {
     return;
   }
   if (!item.mark && record.kind == Kind::kUndoWanted) {
-    find_undone(record.request);
+    find_undone(record);
     return;
   }
   if (!session_) return;
@@ -213,11 +213,12 @@ void Checkpointer::handle(const Item& item) {
   } else if (record.kind == Kind::kUndo) {
     go_back(record);
   } else {
-    if (record.begins_stroke) commit_all();
+    // What a blade has cut is its owner's.
+    if (record.begins_stroke || record.kind == Kind::kOpened) commit_all();
     if (options_.undone) history_.note(record, *session_);
     apply(*session_, record);
   }
-  tell_undoable();
+  if (record.kind != Kind::kPose || record.begins_stroke) tell_undoable();
 }
 
 void Checkpointer::handle_mark(const Item& mark) {
@@ -230,22 +231,24 @@ void Checkpointer::handle_mark(const Item& mark) {
 }
 
 // All that came before is applied: the journal keeps the order.
-void Checkpointer::find_undone(std::uint64_t request) {
+void Checkpointer::find_undone(const JournalRecord& wanted) {
   if (!options_.undone) return;
   if (session_) commit_all();
   Undone undone;
-  undone.request = request;
-  const BeforeStroke* const last = session_ ? history_.last() : nullptr;
+  undone.request = wanted.request;
+  const BeforeStroke* const last = session_ ? history_.last(wanted.name.get()) : nullptr;
   if (last) undone.session = history_.before(*last, session_->config());
   if (undone.session) {
     undone.before = *last;
-    undone.cut_since = history_.cut_since(*last);
+    undone.blades = history_.cut_since(*last);
     const core::TetMesh& mesh = undone.session->mesh();
     for (core::TetId t = 0; t < mesh.tet_slots(); ++t) {
       if (!mesh.alive(t)) continue;
       for (int face = 0; face < 4; ++face)
         if ((mesh.cut_mask(t) >> face & 1) != 0) undone.cuts.push_back(core::half_face(t, face));
     }
+  } else if (const BeforeStroke* const of_another = history_.last()) {
+    undone.blades.push_back(of_another->name());
   }
   options_.undone(std::move(undone));
 }
@@ -269,9 +272,8 @@ void Checkpointer::go_back(const JournalRecord& undo) {
 }
 
 void Checkpointer::tell_undoable() {
-  const BeforeStroke* const last = history_.last();
-  undoable_.store({static_cast<std::uint32_t>(history_.size()), last ? last->source : 0},
-                  std::memory_order_relaxed);
+  const std::size_t strokes = history_.last() ? history_.size() : 0;
+  undoable_.store(static_cast<std::uint32_t>(strokes), std::memory_order_relaxed);
 }
 
 void Checkpointer::commit_all() {

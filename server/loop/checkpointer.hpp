@@ -87,11 +87,8 @@ class Checkpointer {
   std::size_t behind() const { return behind_.load(std::memory_order_relaxed); }
   // Whether the run began with work that a resume would have to do again.
   bool in_debt() const { return options_.debt_s > 0; }
-  // Strokes that can be undone, and the source of the first of them.
-  struct Undoable {
-    std::uint32_t strokes = 0, source = 0;
-  };
-  Undoable undoable() const { return undoable_.load(std::memory_order_relaxed); }
+  // Strokes that can be undone.
+  std::uint32_t undoable() const { return undoable_.load(std::memory_order_relaxed); }
   // Tetrahedra that it has looked at in a simulation's steps.
   std::uint64_t tets_checked() const { return tets_checked_.load(std::memory_order_relaxed); }
   bool following() const { return following_.load(std::memory_order_relaxed); }
@@ -110,7 +107,7 @@ class Checkpointer {
   bool can_write_at_rest() const;
   void handle(const Item& item);
   void handle_mark(const Item& mark);
-  void find_undone(std::uint64_t request);
+  void find_undone(const JournalRecord& wanted);
   void go_back(const JournalRecord& undo);
   void give_up(const std::string& why);
   // Takes the session to where it has no work left, or one step on; false: it has none.
@@ -135,7 +132,7 @@ class Checkpointer {
   std::atomic<std::uint64_t> written_{0}, last_revision_{0}, last_offset_{0};
   std::atomic<std::uint64_t> tets_checked_{0};
   std::atomic<std::size_t> behind_{0};
-  std::atomic<Undoable> undoable_{};
+  std::atomic<std::uint32_t> undoable_{0};
 
   // The thread's.
   std::unique_ptr<core::CutSession> session_;  // null: it cannot follow

@@ -150,7 +150,7 @@ void FrameLoop::finish() noexcept {
   for (std::uint32_t source = 0; source < core::kMaxSources; ++source) {
     if (session_->in_stroke(source)) {
       const std::int64_t now = monotonic_ns();
-      handle(source, {input::InputEvent::Kind::kEndStroke, {{}, now}, {}}, now);
+      handle(source, {input::InputEvent::Kind::kEndStroke, {{}, now}, {}, 0, nullptr}, now);
     }
   }
   // A reader that has stopped must not keep the server from ending: what it has not read by then is
@@ -195,6 +195,8 @@ void FrameLoop::handle(std::uint32_t source, const input::InputEvent& event, std
       session_->set_blade(source, event.blade);
       blades_[source] = event.blade;
       owners_[source] = event.owner;
+      record.name = names_[source] = event.name;
+      undos_.note_owner(source, event.name);
       blades_now_[source].strokes = blades_now_[source].cut_faces = 0;
       blades_moved_ = true;
       if (forces_) forces_->opened(source, event.blade);
@@ -212,6 +214,7 @@ void FrameLoop::handle(std::uint32_t source, const input::InputEvent& event, std
         const core::Blade& blade = blades_[source] ? *blades_[source] : session_->config().blade;
         BladeNow& now = blades_now_[source];
         now.arrival_ns = event.pose.arrival_ns;
+        undos_.note_pose(source, event.pose.arrival_ns);
         now.cutting = session_->in_stroke(source) ? 1 : 0;
         now.line = core::blade_line(blade, event.pose.pose);
         blades_moved_ = true;
@@ -318,11 +321,11 @@ void FrameLoop::reset() {
     reset_wanted_.store(true, std::memory_order_relaxed);
     return;
   }
-  undos_.end_all(UndoEnd::kReset);
+  undos_.reset();
   cuts_to_note_.clear();
   JournalRecord record;
   record.kind = JournalRecord::Kind::kReset;
-  replace(std::move(fresh), {}, record, reset_done_);
+  replace(std::move(fresh), {}, {}, record, reset_done_);
   count_first_cuts();
 }
 
@@ -332,7 +335,7 @@ void FrameLoop::offer_undo(TakeUndone take, UndoDone done) {
 }
 
 bool FrameLoop::request_undo(UndoWish wish, UndoAnswered answered) {
-  return undos_.request(wish, std::move(answered));
+  return undos_.request(std::move(wish), std::move(answered));
 }
 
 void FrameLoop::go_back(Undone undone) {
@@ -347,11 +350,11 @@ void FrameLoop::go_back(Undone undone) {
   state.cut_faces = first_cut_faces_ + undone.before.cut_faces;
   state.cut_area_m2 = first_cut_area_m2_ + undone.before.cut_area_m2;
   cuts_to_note_ = std::move(undone.cuts);
-  replace(std::move(undone.session), state, record, undo_done_);
+  replace(std::move(undone.session), state, undone.before.blades, record, undo_done_);
 }
 
-void FrameLoop::replace(std::unique_ptr<core::CutSession> other, const LoopState& state, JournalRecord record,
-                        const ResetDone& done) {
+void FrameLoop::replace(std::unique_ptr<core::CutSession> other, const LoopState& state,
+                        const BladesSums& blades, JournalRecord record, const ResetDone& done) {
   session_ = other.get();
   std::swap(own_session_, other);
   if (forces_) {
@@ -374,9 +377,18 @@ void FrameLoop::replace(std::unique_ptr<core::CutSession> other, const LoopState
   record.arrival_ns = monotonic_ns();
   write(record);
   record.kind = JournalRecord::Kind::kOpened;
+  blades_moved_ = true;
   for (record.source = 0; record.source < core::kMaxSources; ++record.source) {
     if (!blades_[record.source]) continue;
+    BladeNow& now = blades_now_[record.source];
+    now.cutting = 0;
+    // Who has come since had done nothing then.
+    const BladeSums& sums = blades[record.source];
+    const bool was_there = sums.name == names_[record.source];
+    now.strokes = was_there ? sums.strokes : 0;
+    now.cut_faces = was_there ? sums.cut_faces : 0;
     record.blade = *blades_[record.source];
+    record.name = names_[record.source];
     const std::size_t batches = session_->backlog_batches();
     session_->set_blade(record.source,
                         record.blade);  // ends a stroke that was under way before the one that was undone

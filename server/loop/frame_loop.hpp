@@ -7,6 +7,7 @@
 #include <memory>
 #include <optional>
 #include <stop_token>
+#include <string>
 #include <vector>
 
 #include "server/core/session/cut_session.hpp"
@@ -63,12 +64,12 @@ class FrameLoop {
   bool request_reset();
 
   // Makes it possible to undo strokes; before the first frame, and only with a journal that has a checkpointer, which is asked for the
-  // state before the last stroke. `take` gives what that has found, if there is something; `done` is as for resets. Both run on the loop's thread.
+  // state before a stroke. `take` gives what that has found, if there is something; `done` is as for resets. Both run on the loop's thread.
   using TakeUndone = PendingUndos::Take;
   using UndoDone = ResetDone;
   void offer_undo(TakeUndone take, UndoDone done);
-  // Asks for it: all is as it was before the last stroke that cut something began, at a new session id; with a source in `wish` only if that stroke is
-  // that blade's, and no other has cut since it began unless `wish.others`. Done between strokes: it waits while that blade cuts, or without a source
+  // Asks for it: all is as it was before the last stroke that cut something began, at a new session id; with a name in `wish` the last one of the blade of that
+  // name, if no other has cut since it began or `wish.others`. Done between strokes: it waits while the asker's blade cuts, or without a source
   // while any does, but not beyond LoopOptions::undo_patience_ns, and is given up at once where another one does. It is for the strokes whose first pose was
   // queued before this call: where another one begins before it is done, it is given up. Several that are asked for are done one
   // after the other. `answered`, which may be empty, is called once, on the loop's thread and before `done`; never where the loop ends first. False where
@@ -115,8 +116,8 @@ class FrameLoop {
   // What the session's body has been cut before. O(mesh) where it has been.
   void count_first_cuts();
   // Goes on with another session. `done` gives its id.
-  void replace(std::unique_ptr<core::CutSession> other, const LoopState& state, JournalRecord record,
-               const ResetDone& done);
+  void replace(std::unique_ptr<core::CutSession> other, const LoopState& state, const BladesSums& blades,
+               JournalRecord record, const ResetDone& done);
 
   core::CutSession* session_;
   std::unique_ptr<core::CutSession> own_session_;  // since the last reset
@@ -130,6 +131,7 @@ class FrameLoop {
   std::unique_ptr<haptics::ForceStage> forces_;                       // null: none are made
   std::array<std::optional<core::Blade>, core::kMaxSources> blades_;  // of the sources that were opened
   std::array<std::uint32_t, core::kMaxSources> owners_{};             // the numbers of their owners
+  std::array<std::shared_ptr<const std::string>, core::kMaxSources> names_;  // and their names
   input::PoseSources& input_;
   input::PositionsSlot* positions_ = nullptr;
   std::shared_ptr<const core::VertexPositions> deforming_;  // while a step is under way

@@ -93,10 +93,11 @@ bool Journal::record(const JournalRecord& record) noexcept {
   return false;
 }
 
-bool Journal::want_undo(std::uint64_t request) noexcept {
+bool Journal::want_undo(std::uint64_t request, std::shared_ptr<const std::string> name) noexcept {
   JournalRecord record;
   record.kind = JournalRecord::Kind::kUndoWanted;
   record.request = request;
+  record.name = std::move(name);
   return gap_ == 0 && queue_.push(record);
 }
 

@@ -80,8 +80,9 @@ class Journal {
 
   // False: the record is lost.
   bool record(const JournalRecord& record) noexcept;
-  // Asks the checkpointer to go back before the last stroke, once it has all records so far. From the loop's thread. False: no room, ask again.
-  bool want_undo(std::uint64_t request) noexcept;
+  // Asks the checkpointer to go back before the last stroke of the blade of that name, or of any (null), once it has all records so far. From
+  // the loop's thread. False: no room, ask again.
+  bool want_undo(std::uint64_t request, std::shared_ptr<const std::string> name) noexcept;
 
   std::uint64_t lost() const {
     return lost_unqueued_.load(std::memory_order_relaxed) + lost_unwritten_.load(std::memory_order_relaxed);

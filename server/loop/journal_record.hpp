@@ -2,6 +2,7 @@
 
 #include <cstdint>
 #include <memory>
+#include <string>
 
 #include "server/core/mesh/delta.hpp"
 #include "server/core/session/cut_session.hpp"
@@ -15,14 +16,14 @@ namespace incise::loop {
 // by.
 struct JournalRecord {
   enum class Kind : std::uint8_t {
-    kOpened,     // source, arrival_ns, blade: the source has another owner
+    kOpened,     // source, arrival_ns, blade, name: the source has another owner
     kPose,       // source, owner, arrival_ns, pose, verdict
     kEndStroke,  // source, arrival_ns
     kDeform,     // arrival_ns, positions
     kCommit,  // source, stroke, batch, revision, state_hash, frame, positions (a step's, if at hand): the batch that led there is done
     kReset,   // session, arrival_ns: the mesh is as loaded again
     kUndo,  // session, arrival_ns, source, pose.t_ns, posed_ns, revision: all is as before this pose, which began a stroke
-    kUndoWanted,  // request: asks the checkpointer for the state before the last stroke; not in the capture
+    kUndoWanted,  // request, name: asks the checkpointer for the state before the last stroke of that blade, or of any; not in the capture
     kGap,         // lost: so many records are missing here
     kCheckpoint,  // checkpoint: the one of this id has the state that all before leads to
   };
@@ -30,6 +31,7 @@ struct JournalRecord {
   std::uint32_t source = 0;
   std::uint32_t owner = 0;  // number of the source's owner; not in the capture
   std::int64_t arrival_ns = 0;
+  std::shared_ptr<const std::string> name;
   core::Pose pose;
   core::Blade blade;
   core::PoseVerdict verdict = core::PoseVerdict::kAccepted;

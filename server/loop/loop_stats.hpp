@@ -87,7 +87,7 @@ struct LoopState {
 struct BladeNow {
   std::int64_t arrival_ns = 0;
   std::int64_t cutting = 0;  // 1: a stroke is under way
-  // Since it has its present owner: strokes begun and faces opened, those that were undone as well.
+  // Since it has its present owner: strokes begun and faces opened that are neither undone nor gone with a reset.
   std::uint64_t strokes = 0, cut_faces = 0;
   core::BladeLine line;
   core::Vec3 force;  // on the hand, N

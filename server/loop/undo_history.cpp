@@ -25,14 +25,30 @@ bool is_input(const JournalRecord& record) {
          record.kind == Kind::kDeform;
 }
 
+// Appends what is not there yet.
+void add(std::vector<std::string>& names, const std::string& name) {
+  if (std::find(names.begin(), names.end(), name) == names.end()) names.push_back(name);
+}
+
+const std::string& name_of(const BladeSums& blade) {
+  static const std::string kNone;
+  return blade.name ? *blade.name : kNone;
+}
+
 bool same(const BeforeStroke& a, const BeforeStroke& b) {
   return a.source == b.source && a.t_ns == b.t_ns && a.arrival_ns == b.arrival_ns;
 }
 
 }  // namespace
 
+const std::string& BeforeStroke::name() const {
+  return name_of(blades[source]);
+}
+
 void UndoHistory::note(const JournalRecord& record, const core::CutSession& session) {
   if (!is_input(record)) return;
+  if (record.kind == JournalRecord::Kind::kOpened && now_.blades[record.source].name != record.name)
+    now_.blades[record.source] = {record.name, 0, 0};
   if (record.begins_stroke) {
     // A pose that ends one stroke and begins the next commits the rest of the first one only now.
     const bool ended_before = record.verdict != core::PoseVerdict::kNewStroke;
@@ -44,9 +60,10 @@ void UndoHistory::note(const JournalRecord& record, const core::CutSession& sess
     now_.t_ns = record.pose.t_ns;
     now_.arrival_ns = record.arrival_ns;
     now_.revision = session.revision();
-    spans_.back().points.push_back({spans_.back().records.size(), now_, 0});
+    spans_.back().points.push_back({spans_.back().records.size(), now_, {}});
     ++strokes_;
     ++now_.strokes;
+    ++now_.blades[record.source].strokes;
     changed_ = false;
   }
   if (spans_.empty() || !spans_.back().whole) return;
@@ -62,11 +79,12 @@ void UndoHistory::note(const JournalRecord& record, const core::CutSession& sess
 void UndoHistory::note(const core::Delta& delta) {
   now_.cut_faces += delta.cut_faces;
   now_.cut_area_m2 += delta.cut_area;
+  now_.blades[delta.source].cut_faces += delta.cut_faces;
   if (!delta.has_cut()) return;
   changed_ = true;
   const auto last =
       std::find_if(spans_.rbegin(), spans_.rend(), [](const Span& s) { return !s.points.empty(); });
-  if (last != spans_.rend()) last->points.back().cut |= 1u << delta.source;
+  if (last != spans_.rend()) add(last->points.back().cut, name_of(now_.blades[delta.source]));
 }
 
 void UndoHistory::clear() {
@@ -123,26 +141,28 @@ void UndoHistory::drop_last_point() {
   if (spans_.back().points.empty() && !spans_.back().whole) spans_.pop_back();
 }
 
-const BeforeStroke* UndoHistory::last() const {
-  bool passed = changed_;  // what the newest point's stroke changed
+const BeforeStroke* UndoHistory::last(const std::string* name) const {
+  std::vector<std::string> cut;  // the blades that have cut something from here on
   for (auto span = spans_.rbegin(); span != spans_.rend(); ++span) {
     for (auto point = span->points.rbegin(); point != span->points.rend(); ++point) {
-      if (passed) return &point->before;
-      passed = true;
+      for (const std::string& blade : point->cut) add(cut, blade);
+      const std::string& own = point->before.name();
+      if (name != nullptr && *name != own) continue;
+      if (std::find(cut.begin(), cut.end(), own) != cut.end()) return &point->before;
     }
   }
   return nullptr;
 }
 
-std::uint32_t UndoHistory::cut_since(const BeforeStroke& stroke) const {
-  std::uint32_t sources = 0;
+std::vector<std::string> UndoHistory::cut_since(const BeforeStroke& stroke) const {
+  std::vector<std::string> blades{stroke.name()};
   for (auto span = spans_.rbegin(); span != spans_.rend(); ++span) {
     for (auto point = span->points.rbegin(); point != span->points.rend(); ++point) {
-      sources |= point->cut;
-      if (same(point->before, stroke)) return sources;
+      for (const std::string& blade : point->cut) add(blades, blade);
+      if (same(point->before, stroke)) return blades;
     }
   }
-  return sources;
+  return blades;
 }
 
 const UndoHistory::Span* UndoHistory::span_of(const BeforeStroke& stroke, std::size_t& point) const {

@@ -1,9 +1,11 @@
 #pragma once
 
+#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <deque>
 #include <memory>
+#include <string>
 #include <vector>
 
 #include "server/core/mesh/delta.hpp"
@@ -11,6 +13,13 @@
 #include "server/loop/journal_record.hpp"
 
 namespace incise::loop {
+
+// What the owner of a blade has done, as BladeNow has it. `name` is the object that came with the owner: another one of the same name has another.
+struct BladeSums {
+  std::shared_ptr<const std::string> name;
+  std::uint64_t strokes = 0, cut_faces = 0;
+};
+using BladesSums = std::array<BladeSums, core::kMaxSources>;
 
 // What a session had come to just before a stroke.
 struct BeforeStroke {
@@ -20,13 +29,18 @@ struct BeforeStroke {
   std::uint64_t revision = 0;
   std::uint64_t strokes = 0, cut_faces = 0;  // so far; as LoopState's
   double cut_area_m2 = 0;
+  BladesSums blades;  // by source
+  // Whose stroke it is. A number may have had other owners.
+  const std::string& name() const;
 };
 
 // A session that has gone back to where a stroke began; null where there was no stroke to undo.
 struct Undone {
   std::uint64_t request = 0;
   BeforeStroke before;
-  std::uint32_t cut_since = 0;  // bit i: source i has cut something since
+  // The names of the blades that have cut something since, that stroke's own first. Without a session: of the blade that the last stroke is of; empty:
+  // there is none.
+  std::vector<std::string> blades;
   std::unique_ptr<core::CutSession> session;
   std::vector<core::HalfFace> cuts;  // all cut faces of its mesh
 };
@@ -35,7 +49,7 @@ struct Undone {
 // saved where a stroke begins and the way there from the last one has become long, so that saving takes a fifth of the processor time at most, and going
 // back some 50 ms more than reading a state. The oldest states are dropped when all takes more than `max_bytes`, but never the last one.
 //
-// Strokes that changed nothing are passed over.
+// Strokes that changed nothing are passed over. Whose a stroke is, the name says that its blade's owner had.
 //
 // Thread: one, at a time: the one that runs the session.
 class UndoHistory {
@@ -51,10 +65,10 @@ class UndoHistory {
 
   // How many strokes can be undone, one after the other.
   std::size_t size() const { return changed_ || strokes_ == 0 ? strokes_ : strokes_ - 1; }
-  // The one that is undone first. Null: none.
-  const BeforeStroke* last() const;
-  // The sources that have cut something since that stroke began: Undone::cut_since.
-  std::uint32_t cut_since(const BeforeStroke& stroke) const;
+  // The stroke that began last, of those that have cut something; with a name, of that blade's. Null: none.
+  const BeforeStroke* last(const std::string* name = nullptr) const;
+  // The blades that have cut something since that stroke began: Undone::blades.
+  std::vector<std::string> cut_since(const BeforeStroke& stroke) const;
   // The session as it was before that stroke; null: there is none. O(mesh).
   std::unique_ptr<core::CutSession> before(const BeforeStroke& stroke, const core::CutConfig& config) const;
   // The session has gone back there.
@@ -64,7 +78,7 @@ class UndoHistory {
   struct Point {
     std::size_t records = 0;  // that lead there from the state
     BeforeStroke before;
-    std::uint32_t cut = 0;  // the sources that have cut something from here to the next point
+    std::vector<std::string> cut;  // the blades that have cut something from here to the next point
   };
   struct Span {
     std::vector<std::byte> state;

@@ -2,9 +2,11 @@
 
 #include <gtest/gtest.h>
 
+#include <chrono>
 #include <memory>
 #include <mutex>
 #include <string>
+#include <thread>
 #include <utility>
 #include <vector>
 
@@ -99,7 +101,9 @@ TEST(Recovery, WhatWasUndoneStaysUndone) {
       }
       Hand other(session, "another");
       EXPECT_EQ(other.undo(*viewer),
-                "Undo: the last stroke is that of blade \"blade\": its operator or an admin may undo it");
+                "Undo: the last stroke is that of blade \"blade\", and your blade has none to undo: its "
+                "operator or an "
+                "admin may undo it");
       EXPECT_EQ(hand.undo(*viewer), "");
       EXPECT_EQ(settled(session, *viewer), before[2]);
       EXPECT_EQ(hand.undo(*viewer), "");
@@ -134,6 +138,7 @@ TEST(Recovery, WhatWasUndoneStaysUndone) {
 // Two hands at once: neither takes back what the other has done since, neither waits for the other, and everybody is told who undid what.
 TEST(Recovery, OneHandDoesNotUndoWhatTheOtherHasCutSince) {
   ServedSession session("undo_two", 4000, "");
+  session.set_keys(R"(, "cut": {"speed_limit_m_s": 50, "gap_limit_s": 3600})");  // no hand is too slow here
   ASSERT_TRUE(session.start(false)) << session.log();
   const auto viewer = client::Client::connect("127.0.0.1", session.tcp_port());
   ASSERT_TRUE(viewer->wait_for_revision(0, 60));
@@ -142,7 +147,9 @@ TEST(Recovery, OneHandDoesNotUndoWhatTheOtherHasCutSince) {
   Hand left(session, "left"), right(session, "right");
   left.cut(0.3, 0, 0.5);
   EXPECT_EQ(right.undo(*viewer),
-            "Undo: blade \"left\" is in a stroke, so nothing was undone: ask again when it is lifted");
+            "Undo: blade \"left\" is in a stroke, so nothing was undone: ask again when it is lifted, or has "
+            "sent no "
+            "pose for 3600 s");
   right.cut(0.7);
   const Held one = settled(session, *viewer);
   left.cut(0.3, 0.5, 1);
@@ -153,8 +160,8 @@ TEST(Recovery, OneHandDoesNotUndoWhatTheOtherHasCutSince) {
       "Undo: blade \"left\" has cut since your last stroke began, and that would be undone, too: ask for "
       "both with Undo.others (on the page: Shift and a click on Undo), or leave it");
   EXPECT_EQ(settled(session, *viewer), both);
-  EXPECT_EQ(left.undo(*viewer),
-            "Undo: the last stroke is that of blade \"right\": its operator or an admin may undo it");
+  EXPECT_EQ(left.undo(*viewer).substr(0, 73),
+            "Undo: blade \"right\" has cut since your last stroke began, and that would");
   for (const char* blade : {"/blades/0", "/blades/1"}) {
     EXPECT_GT(session.stat(std::string(blade) + "/cut_faces"), 10.0) << blade;
     EXPECT_GT(session.stat(std::string(blade) + "/poses"), 150.0) << blade;
@@ -166,7 +173,8 @@ TEST(Recovery, OneHandDoesNotUndoWhatTheOtherHasCutSince) {
   const Held left_half = settled(session, *viewer);
   EXPECT_LT(left_half.revision, both.revision);
   EXPECT_EQ(viewer->welcome().restart,
-            (protocol::Restart{protocol::RestartKind::Undo, protocol::Role::Operator, "right", 1, "right"}));
+            (protocol::Restart{
+                protocol::RestartKind::Undo, protocol::Role::Operator, "right", 1, "right", {"left"}}));
   EXPECT_TRUE(wait_for([&] { return left.link->welcome().restart.has_value(); })) << "the other hand, too";
   EXPECT_EQ(left.undo(*viewer), "");
   EXPECT_EQ(settled(session, *viewer), before);
@@ -196,6 +204,48 @@ TEST(Recovery, OneHandDoesNotUndoWhatTheOtherHasCutSince) {
     EXPECT_NE(session.log().find(line), std::string::npos) << line << '\n' << session.log();
   right.link.reset();
   EXPECT_TRUE(wait_for([&] { return session.log().find("blade \"right\" is free: ") != std::string::npos; }));
+}
+
+// Whichever of two hands began last, each can undo; everybody is told whose cuts went along, and no figure counts them any longer. A hand that is silent within
+// its stroke is not in the way.
+TEST(Recovery, EachOfTwoHandsCanUndoItsOwnLastStroke) {
+  ServedSession session("undo_each", 4000, "");
+  ASSERT_TRUE(session.start(false)) << session.log();
+  const auto viewer = client::Client::connect("127.0.0.1", session.tcp_port());
+  ASSERT_TRUE(viewer->wait_for_revision(0, 60));
+  const Held before = held(*viewer);
+  Hand left(session, "left"), right(session, "right");
+  left.cut(0.3);
+  right.cut(0.7);
+  settled(session, *viewer);
+  EXPECT_GT(session.stat("/blades/1/cut_faces"), 10.0);
+  EXPECT_EQ(left.undo(*viewer, true), "");
+  EXPECT_EQ(settled(session, *viewer), before);
+  EXPECT_EQ(viewer->welcome().restart,
+            (protocol::Restart{
+                protocol::RestartKind::Undo, protocol::Role::Operator, "left", 0, "left", {"right"}}));
+  for (const char* blade : {"/blades/0", "/blades/1"}) {
+    EXPECT_TRUE(wait_for([&] { return session.stat(std::string(blade) + "/cut_faces") == 0.0; })) << blade;
+    EXPECT_EQ(session.stat(std::string(blade) + "/strokes"), 0.0) << blade;
+  }
+
+  left.cut(0.3, 0, 0.5);
+  const Held left_half = settled(session, *viewer);
+  right.cut(0.7);
+  settled(session, *viewer);
+  std::this_thread::sleep_for(std::chrono::milliseconds(300));
+  EXPECT_EQ(right.undo(*viewer), "")
+      << "the other one has been silent for longer than the gap between strokes";
+  EXPECT_GE(settled(session, *viewer).revision, left_half.revision);
+
+  client::Options options;
+  options.role = protocol::Role::Admin;
+  options.view = protocol::View::None;
+  client::Client::connect("127.0.0.1", session.tcp_port(), options)->reset();
+  EXPECT_TRUE(wait_for([&] { return viewer->revision() == 0; }));
+  EXPECT_EQ(
+      left.undo(*viewer),
+      "Undo: there is no stroke to undo: the mesh was reset, and what was cut before that is gone for good");
 }
 
 // The server has not cut the stroke yet when it is asked, and has to know of it all the same: it said that there was none.

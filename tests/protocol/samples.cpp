@@ -366,6 +366,8 @@ const std::vector<std::pair<std::string, Body>>& extended_messages() {
     carrying.fields = fields;
     Welcome undone = hail;
     undone.restart = Restart{RestartKind::Undo, Role::Admin, "ward 3", 2, "right hand"};
+    Welcome both = hail;
+    both.restart = Restart{RestartKind::Undo, Role::Operator, "left", 1, "left", {"right", "assistant"}};
     Stats hands = stats;
     hands.blades = {{0, "left hand", 4000, 3, 2, 310, true}, {2, "right hand", 12, 0, 0, 0, false}};
     return std::vector<std::pair<std::string, Body>>{
@@ -403,6 +405,7 @@ const std::vector<std::pair<std::string, Body>>& extended_messages() {
         {"WelcomeRestart", undone},
         {"StatsBlades", hands},
         {"UndoOthers", Undo{true}},
+        {"WelcomeRestartOthers", both},
     };
   }();
   return all;

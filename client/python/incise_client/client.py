@@ -513,8 +513,8 @@ class Client:
         self._send(Body.Body.Reset, lambda b: _table(b, Reset, []))
 
     def undo(self, others: bool = False) -> None:
-        """Asks for the state before the last stroke that cut something, for everybody: operators who hold a blade may undo their own strokes, admins any.
-        An operator's is refused while another blade is in a stroke, and where another one has cut since its stroke began: with ``others`` that is undone, too. The last stroke is the one that began last.
+        """Asks for the state before a stroke that cut something, for everybody: the last one of the operator's own blade, an admin's is the last one of all.
+        An operator's is refused while another blade is in a stroke, and where others have cut since its stroke began: with ``others`` that is undone, too. The last stroke is the one that began last.
         Strokes from before the server's start stay. A new snapshot comes when it is done; where it cannot be, `error` is set, and `error.Text()` says why. Begin the next stroke afterwards:
         where one begins before it is done, nothing is undone."""
         self._send(Body.Body.Undo, lambda b: _table(b, Undo, [("Others", others)]))

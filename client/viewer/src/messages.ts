@@ -141,8 +141,8 @@ export type FromWorker =
   | { kind: "deforms" }
   /** The state here differs from the server's; a geometry follows. */
   | { kind: "differs" }
-  /** The live body was reset, or a stroke was undone; `by`: who did it, where the server says so. */
-  | { kind: "was-reset"; revision: number; by: string }
+  /** The live body was reset, or a stroke was undone; `by`: who did it, where the server says so; `others`: blades of which something was undone as well. */
+  | { kind: "was-reset"; undone: boolean; by: string; others: string[] }
   | { kind: "notice"; text: string }
   /** Of a session in this browser: what was asked for, or what was saved of a session that failed. */
   | { kind: "recording"; bytes: Uint8Array<ArrayBuffer>; after: "asked" | "failure" }

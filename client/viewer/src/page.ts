@@ -171,7 +171,7 @@ export class Page {
       case "differs":
         return this.figures.showTrust(false);
       case "was-reset":
-        return this.onReset(message.revision, message.by);
+        return this.onReset(message.undone, message.by, message.others);
       case "notice":
         notice(message.text);
         return;
@@ -299,10 +299,11 @@ export class Page {
     }
   }
 
-  private onReset(revision: number, by: string): void {
+  private onReset(undone: boolean, by: string, others: string[]): void {
     if (performance.now() - this.resetAsked_ms < kOwnReset_ms) return;
-    if (revision > 0) {
-      notice(`The last stroke was undone, by ${by || "its operator or an administrator"}.`);
+    if (undone) {
+      const also = others.length > 0 ? `, and with it what ${others.join(", ")} had cut since` : "";
+      notice(`The last stroke was undone, by ${by || "its operator or an administrator"}${also}.`);
       return;
     }
     notice(

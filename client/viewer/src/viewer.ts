@@ -16,6 +16,7 @@ import type { Message } from "./wire/incise/wire/message";
 import { ReplayAction } from "./wire/incise/wire/replay-action";
 import { ReplayControl } from "./wire/incise/wire/replay-control";
 import { ReplayState } from "./wire/incise/wire/replay-state";
+import { RestartKind } from "./wire/incise/wire/restart-kind";
 import { Resync } from "./wire/incise/wire/resync";
 import { Role } from "./wire/incise/wire/role";
 import { SnapshotBegin } from "./wire/incise/wire/snapshot-begin";
@@ -186,7 +187,11 @@ export class Viewer {
     const { session } = this.replica;
     if (!this.replayAsked) {
       if (!this.justConnected && session !== this.liveSession) {
-        this.post({ kind: "was-reset", revision: Number(welcome.revision()), by: askedBy(welcome) });
+        const restart = welcome.restart();
+        // An older server does not say what it was.
+        const undone = restart ? restart.kind() === RestartKind.Undo : welcome.revision() > 0n;
+        const others = Array.from({ length: restart?.othersLength() ?? 0 }, (_, i) => restart?.others(i) ?? "");
+        this.post({ kind: "was-reset", undone, by: askedBy(welcome), others });
       }
       this.liveSession = session;
     }

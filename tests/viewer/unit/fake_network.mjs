@@ -83,10 +83,11 @@ export function message(type, make) {
   Message.finishMessageBuffer(b, Message.endMessage(b));
   return b.asUint8Array();
 }
-/** `restart`: [kind, role, by] of who has made these ids start again. */
+/** `restart`: [kind, role, by, others] of who has made these ids start again. */
 export const welcome = (session = 1n, restart = null) =>
   message(Body.Welcome, (b) => {
-    const began = restart && Restart.createRestart(b, restart[0], restart[1], b.createString(restart[2]), 0, 0);
+    const others = restart && Restart.createOthersVector(b, (restart[3] ?? []).map((name) => b.createString(name)));
+    const began = restart && Restart.createRestart(b, restart[0], restart[1], b.createString(restart[2]), 0, 0, others);
     Welcome.startWelcome(b);
     Welcome.addSession(b, session);
     if (began) Welcome.addRestart(b, began);

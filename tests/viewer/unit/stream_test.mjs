@@ -76,8 +76,17 @@ test("the page is told who has reset the body or undone a stroke", () => {
   sockets[0].receive(welcome(2n, [1, Role.Admin, "ward 3"]));
   sockets[0].receive(welcome(3n, [2, Role.Operator, "left"]));
   sockets[0].receive(welcome(4n)); // an older server
-  const by = said.filter((m) => m.kind === "was-reset").map((m) => m.by);
-  assert.deepEqual(by, ["administrator ward 3", "the operator of blade left", ""]);
+  sockets[0].receive(welcome(5n, [2, Role.Operator, "left", ["right", "third"]]));
+  const resets = said.filter((m) => m.kind === "was-reset");
+  assert.deepEqual(
+    resets.map((m) => m.by),
+    ["administrator ward 3", "the operator of blade left", "", "the operator of blade left"],
+  );
+  assert.deepEqual(
+    resets.map((m) => m.undone),
+    [false, true, false, true], // whatever the revision
+  );
+  assert.deepEqual(resets[3].others, ["right", "third"]);
 });
 
 test("the viewer shows the protocol's example to the page", () => {

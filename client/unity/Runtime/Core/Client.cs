@@ -126,8 +126,8 @@ namespace Incise
             return Send(new Reset()) > 0;
         }
 
-        /// <summary>An operator who holds a blade, or role Admin: back to the state before the last stroke that cut something, for everybody. An operator's is
-        /// refused where another blade has cut since that stroke began, unless `others`: then that is undone as well.</summary>
+        /// <summary>An operator who holds a blade, or role Admin: back to the state before the last stroke that cut something, an operator's own, for everybody. An operator's is
+        /// refused where other blades have cut since that stroke began, unless `others`: then that is undone as well.</summary>
         public bool Undo(bool others = false)
         {
             return Send(new Undo { Others = others }) > 0;

@@ -166,7 +166,27 @@ namespace Incise
 
         public string Text(int field, int limit)
         {
-            int count, at = Elements(field, 1, out count);
+            return TextAt(Follow(field), limit);
+        }
+
+        /// <summary>The texts of an array.</summary>
+        public string[] Texts(int field, int limit, int bytes)
+        {
+            int count, at = Elements(field, 4, out count);
+            if (count > limit) throw new WireException(count + " texts in field " + field + ", accepted are at most " + limit);
+            var texts = new string[count];
+            for (int i = 0; i < count; ++i, at += 4)
+            {
+                uint offset = BitConverter.ToUInt32(data, at);
+                if (offset > (uint)(end - at - 4)) throw new WireException("a text outside the message");
+                texts[i] = TextAt(at + (int)offset, bytes);
+            }
+            return texts;
+        }
+
+        private string TextAt(int start, int limit)
+        {
+            int count, at = ElementsAt(start, 1, out count);
             if (count > limit) throw new WireException("a text of " + count + " bytes, accepted are at most " + limit);
             return Encoding.UTF8.GetString(data, at, count);
         }
@@ -174,8 +194,12 @@ namespace Incise
         /// <summary>Where an array's elements begin. With none of them 0 elements at 0.</summary>
         private int Elements(int field, int bytesEach, out int count)
         {
+            return ElementsAt(Follow(field), bytesEach, out count);
+        }
+
+        private int ElementsAt(int at, int bytesEach, out int count)
+        {
             count = 0;
-            int at = Follow(field);
             if (at == 0) return 0;
             uint n = BitConverter.ToUInt32(data, at);
             at += 4;

@@ -81,7 +81,8 @@ namespace Incise
                 m.Restart = new Restart
                 {
                     Kind = kind > (byte)RestartKind.Undo ? RestartKind.None : (RestartKind)kind, Role = (Role)Enumeration(restart, 1, 3),
-                    By = restart.Text(2, NameBytes), Source = restart.UInt(3), Blade = restart.Text(4, NameBytes)
+                    By = restart.Text(2, NameBytes), Source = restart.UInt(3), Blade = restart.Text(4, NameBytes),
+                    Others = restart.Texts(5, MaxFields, NameBytes)
                 };
             }
             Require(m.EngageButton >= -1 && m.EngageButton < 32, "engage_button: accepted are -1 to 31");

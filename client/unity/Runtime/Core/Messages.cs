@@ -91,6 +91,8 @@ namespace Incise
         /// <summary>Undo: the blade whose stroke was undone, and its name.</summary>
         public uint Source;
         public string Blade = "";
+        /// <summary>Undo: the names of the other blades of which something was undone as well.</summary>
+        public string[] Others = { };
     }
 
     public sealed class Resync
