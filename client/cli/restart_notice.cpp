@@ -14,14 +14,22 @@ std::string restart_text(const protocol::Restart& restart, std::uint64_t revisio
   const std::string stroke = restart.role == protocol::Role::Admin
                                  ? admin + " has undone the last stroke of blade " + shown_name(restart.blade)
                                  : "blade " + shown_name(restart.by) + " has undone its last stroke";
-  return stroke + ": the body is as it was at revision " + std::to_string(revision);
+  std::string others;
+  for (std::size_t i = 0; i < restart.others.size(); ++i)
+    others += (i == 0                          ? ", and with it what "
+               : i + 1 < restart.others.size() ? ", "
+                                               : " and ") +
+              shown_name(restart.others[i]);
+  if (!others.empty()) others += restart.others.size() == 1 ? " has cut since" : " have cut since";
+  return stroke + others + ": the body is as it was at revision " + std::to_string(revision);
 }
 
-void RestartNotice::operator()(const protocol::Welcome& welcome) {
+bool RestartNotice::operator()(const protocol::Welcome& welcome) {
   const std::uint64_t before = std::exchange(session_, welcome.session);
-  if (before == 0 || before == welcome.session || !welcome.restart) return;
-  if (welcome.restart->kind == protocol::RestartKind::None) return;  // of a kind that is not known here
+  if (before == 0 || before == welcome.session || !welcome.restart) return false;
+  if (welcome.restart->kind == protocol::RestartKind::None) return false;  // of a kind that is not known here
   std::fprintf(stderr, "incise: server: %s\n", restart_text(*welcome.restart, welcome.revision).c_str());
+  return true;
 }
 
 }  // namespace incise::client

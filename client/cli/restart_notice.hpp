@@ -13,7 +13,8 @@ std::string restart_text(const protocol::Restart& restart, std::uint64_t revisio
 // For Callbacks::on_welcome: a line on stderr where somebody has made the ids start again.
 class RestartNotice {
  public:
-  void operator()(const protocol::Welcome& welcome);
+  // Whether it was news.
+  bool operator()(const protocol::Welcome& welcome);
 
  private:
   std::uint64_t session_ = 0;  // 0: none yet

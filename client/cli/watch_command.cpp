@@ -18,6 +18,7 @@
 #include "client/cli/commands.hpp"
 #include "client/cli/output_file.hpp"
 #include "client/cli/restart_notice.hpp"
+#include "protocol/role_names.hpp"
 
 namespace incise::client {
 namespace {
@@ -198,7 +199,7 @@ class Watcher {
       note(d.steps, a);
     };
     c.on_welcome = [this](const protocol::Welcome& welcome) {
-      restarts_(welcome);
+      if (restarts_(welcome) && command_.json) print_event(welcome);
       drawn_lines_ = 0;
       if (welcome.revision == 0) live_tets_ = welcome.mesh.tets;
     };
@@ -314,6 +315,22 @@ class Watcher {
     std::fflush(stdout);
   }
 
+  // A line of its own: who has reset the body or undone something, and the revision that it is at since.
+  static void print_event(const protocol::Welcome& welcome) {
+    const protocol::Restart& restart = *welcome.restart;
+    const bool undo = restart.kind == protocol::RestartKind::Undo;
+    nlohmann::ordered_json line{{"event", undo ? "undo" : "reset"},
+                                {"revision", welcome.revision},
+                                {"by", restart.by},
+                                {"role", protocol::name_of(restart.role)}};
+    if (undo) line.update({{"blade", restart.blade}, {"others", restart.others}});
+    print(line);
+  }
+  // Names are what clients have sent. One call: both threads print.
+  static void print(const nlohmann::ordered_json& line) {
+    std::printf("%s\n", line.dump(-1, ' ', false, nlohmann::ordered_json::error_handler_t::replace).c_str());
+  }
+
   static nlohmann::ordered_json or_null(const std::optional<double>& value) {
     return value ? nlohmann::ordered_json(*value) : nlohmann::ordered_json(nullptr);
   }
@@ -363,8 +380,7 @@ class Watcher {
       }
       line["server"]["blades"] = std::move(blades);
     }
-    // Names are what clients have sent.
-    std::printf("%s\n", line.dump(-1, ' ', false, nlohmann::ordered_json::error_handler_t::replace).c_str());
+    print(line);
   }
 
   // On a terminal in place of what was printed last.

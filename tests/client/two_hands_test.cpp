@@ -15,6 +15,7 @@
 #include "client/cli/blade_table.hpp"
 #include "client/cli/commands.hpp"
 #include "client/cli/restart_notice.hpp"
+#include "protocol/printable.hpp"
 #include "tests/stream/mini_loop.hpp"
 
 namespace incise::client {
@@ -52,6 +53,15 @@ TEST(RestartNotice, SaysOnceWhoHasUndoneOrResetWhat) {
   EXPECT_EQ(restart_text({RestartKind::Reset, Role::Admin, "a\x1b[31m\"b", 0, ""}, 0),
             "administrator \"a?[31m?b\" has reset the body: it is as loaded, all cuts are gone");
 
+  EXPECT_EQ(restart_text({RestartKind::Undo, Role::Operator, "left", 1, "left", {"right"}}, 12),
+            "blade \"left\" has undone its last stroke, and with it what \"right\" has cut since: the body "
+            "is as it was at "
+            "revision 12");
+  EXPECT_EQ(restart_text({RestartKind::Undo, Role::Admin, "ward 3", 1, "left", {"a", "b", "c"}}, 12),
+            "administrator \"ward 3\" has undone the last stroke of blade \"left\", and with it what \"a\", "
+            "\"b\" and \"c\" have cut "
+            "since: the body is as it was at revision 12");
+
   RestartNotice notice;
   const auto said = [&](std::uint64_t session, std::optional<Restart> restart) {
     protocol::Welcome welcome;
@@ -81,6 +91,18 @@ TEST(BladeTable, FitsInto80Columns) {
   EXPECT_TRUE(lines[1].ends_with("310  yes")) << lines[1];
   EXPECT_EQ(lines[2].find("nnnn"), 0u);
   for (const std::string& line : lines) EXPECT_LE(line.size(), 80u) << line;
+}
+
+// Columns count characters, and none is cut through.
+TEST(BladeTable, CutsNamesBetweenCharacters) {
+  std::string hand;
+  for (int i = 0; i < 30; ++i) hand += "\u5de6";
+  const auto lines =
+      lines_of(blade_table({{0, "Dr. M\u00fcller", 1, 0, 0, 0, false}, {1, hand, 1, 0, 0, 0, false}}));
+  ASSERT_EQ(lines.size(), 3u);
+  EXPECT_EQ(lines[1].substr(0, 24), "Dr. M\u00fcller" + std::string(12, ' '));
+  EXPECT_EQ(lines[2].substr(0, 63), hand.substr(0, 60) + ".. ");
+  EXPECT_EQ(protocol::characters(lines[1]), protocol::characters(lines[2]));
 }
 
 // One hand far from the body, while another one cuts it.
@@ -152,6 +174,39 @@ TEST(TwoHands, WatchShowsTheBladesAndTheirNames) {
   EXPECT_EQ(last["server"]["blades"][0]["name"], "right");
   EXPECT_EQ(last["server"]["blades"][0]["in_stroke"], true);
   EXPECT_EQ(last["server"]["blades"][0]["cut_faces"], 30);
+}
+
+// What a program reads of a reset or an undo is a line of its own.
+TEST(TwoHands, WatchAsJsonHasALineForAResetAndForAnUndo) {
+  TestServer test(3);
+  WatchCommand watch;
+  watch.server.address = address_of(test);
+  watch.for_s = 1.5;
+  watch.json = true;
+  std::jthread restarting([&] {
+    EXPECT_TRUE(stream::eventually([&] { return test.server.counters().peers == 1; }));
+    std::uint64_t epoch = 100;
+    for (const Restart& restart : {Restart{RestartKind::Undo, Role::Operator, "left", 1, "left", {"right"}},
+                                   Restart{RestartKind::Reset, Role::Admin, "ward 3", 0, ""}}) {
+      std::this_thread::sleep_for(std::chrono::milliseconds(200));
+      auto state = std::make_shared<stream::InitialState>(test.loop.initial());
+      state->epoch = ++epoch;
+      state->restart = std::make_shared<const Restart>(restart);
+      test.server.publish_reset(state);
+    }
+  });
+  ::testing::internal::CaptureStdout();
+  ::testing::internal::CaptureStderr();
+  EXPECT_EQ(run_watch(watch), 0);
+  ::testing::internal::GetCapturedStderr();
+  std::vector<std::string> events;
+  for (const std::string& line : lines_of(::testing::internal::GetCapturedStdout()))
+    if (nlohmann::json::parse(line).contains("event")) events.push_back(line);
+  EXPECT_EQ(
+      events,
+      (std::vector<std::string>{
+          R"({"event":"undo","revision":0,"by":"left","role":"operator","blade":"left","others":["right"]})",
+          R"({"event":"reset","revision":0,"by":"ward 3","role":"admin"})"}));
 }
 
 // Whoever loses the connection is told what to do, by what is known of the reason.
