@@ -100,7 +100,7 @@ TEST(BladeTable, CutsNamesBetweenCharacters) {
   const auto lines =
       lines_of(blade_table({{0, "Dr. M\u00fcller", 1, 0, 0, 0, false}, {1, hand, 1, 0, 0, 0, false}}));
   ASSERT_EQ(lines.size(), 3u);
-  EXPECT_EQ(lines[1].substr(0, 24), "Dr. M\u00fcller" + std::string(12, ' '));
+  EXPECT_EQ(lines[1].substr(0, 23), "Dr. M\u00fcller" + std::string(12, ' '));
   EXPECT_EQ(lines[2].substr(0, 63), hand.substr(0, 60) + ".. ");
   EXPECT_EQ(protocol::characters(lines[1]), protocol::characters(lines[2]));
 }

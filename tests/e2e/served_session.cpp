@@ -40,7 +40,8 @@ void ServedSession::use_body(const std::string& file_name) {
 void ServedSession::write_config() const {
   std::ofstream(directory_ / "server.json") << R"({"mesh": {)" << mesh_ << R"(},
              "blade": {"heel": [0, 0, 0], "tip": [0, 0, -1]},
-             "cut": {"speed_limit_m_s": 50},
+             "cut": {"speed_limit_m_s": 50)" << more_cut_
+                                            << R"(},
              "listen": {"tcp_port": )" << tcp_port_
                                             << R"(, "http_port": )" << http_port_ << R"(},
              "loop": {"realtime_priority": 0, "lock_memory": false},

@@ -39,6 +39,11 @@ class ServedSession {
     more_capture_ = capture;
     write_config();
   }
+  // More keys for "cut", each with a comma in front, from the next start on.
+  void set_cut(const std::string& cut) {
+    more_cut_ = cut;
+    write_config();
+  }
   // Other keys of the configuration, each with a comma in front, from the next start on.
   void set_keys(const std::string& keys) {
     more_keys_ = keys;
@@ -65,7 +70,7 @@ class ServedSession {
  private:
   void write_config() const;
   std::filesystem::path directory_;
-  std::string mesh_, more_capture_, more_keys_;
+  std::string mesh_, more_capture_, more_cut_, more_keys_;
   // Drivers and viewers look them up while it is started again.
   std::atomic<std::uint16_t> tcp_port_ = 0, http_port_ = 0;
   app::Config config_;
