@@ -290,7 +290,8 @@ TEST(RelayOperator, UndoAndResetReachTheOriginAndItsRefusalsComeBack) {
   other.link->undo();
   EXPECT_TRUE(wait_for([&] { return !other.said().empty(); }));
   EXPECT_EQ(other.said(),
-            "Undo: the last stroke is that of blade \"blade\": its operator or an admin may undo it");
+            "Undo: the last stroke is that of blade \"blade\", and your blade has none to undo: its operator "
+            "or an admin may undo it");
   const std::uint64_t epoch = viewer.client().welcome().session;
   hand.link->undo();
   EXPECT_TRUE(wait_for([&] { return viewer.client().welcome().session != epoch; })) << hand.said();
