@@ -213,8 +213,9 @@ void Checkpointer::handle(const Item& item) {
   } else if (record.kind == Kind::kUndo) {
     go_back(record);
   } else {
-    // What a blade has cut is its owner's.
-    if (record.begins_stroke || record.kind == Kind::kOpened) commit_all();
+    // What was cut before a blade has another owner is the last one's.
+    if (record.kind == Kind::kOpened) session_->end_stroke(record.source);
+    if (record.kind == Kind::kOpened || record.begins_stroke) commit_all();
     if (options_.undone) history_.note(record, *session_);
     apply(*session_, record);
   }

@@ -1,7 +1,10 @@
 #include "server/loop/undo_history.hpp"
 
 #include <gtest/gtest.h>
+#include <unistd.h>
 
+#include <chrono>
+#include <filesystem>
 #include <memory>
 #include <string>
 #include <vector>
@@ -245,6 +248,52 @@ TEST_F(UndoHistoryTest, TheSumsOfEachBladeToo) {
   open(0, "left");
   stroke(0.35, 1);
   EXPECT_EQ(history_->last()->blades[0].cut_faces, 0u) << "another owner";
+}
+
+// What a blade's last owner left to be cut when another one came is not the new one's.
+TEST(UndoOfOwners, WhatIsCutAfterABladeHasAnotherOwnerIsTheOnesWhoseStrokeItWas) {
+  const auto folder =
+      std::filesystem::temp_directory_path() / ("incise_owners_" + std::to_string(::getpid()));
+  std::filesystem::create_directories(folder);
+  const std::string left = "left", right = "right";
+  std::vector<Undone> found;
+  Checkpointer::Options options;
+  options.journal = (folder / "journal").string();
+  options.replay_s = 1e9;
+  options.fresh = [] {
+    return std::make_unique<core::CutSession>(tests::cube(5), config(core::Policy::kConforming));
+  };
+  options.undone = [&](Undone undone) { found.push_back(std::move(undone)); };
+  {
+    Checkpointer checkpointer(options, 7, 0, options.fresh, [](bool, const std::string&) {});
+    JournalRecord record;
+    record.kind = JournalRecord::Kind::kOpened;
+    record.blade = tests::long_blade();
+    record.name = std::make_shared<const std::string>(left);
+    checkpointer.record(record);
+    record.kind = JournalRecord::Kind::kPose;
+    record.begins_stroke = true;
+    for (const core::Pose& pose : tests::sweep_through(150, 1000, 0.5)) {
+      record.pose = pose;
+      checkpointer.record(record);
+      record.begins_stroke = false;
+    }
+    record.kind = JournalRecord::Kind::kOpened;
+    record.name = std::make_shared<const std::string>(right);
+    checkpointer.record(record);
+    record.kind = JournalRecord::Kind::kUndoWanted;
+    for (const std::string& name : {left, right}) {
+      record.name = std::make_shared<const std::string>(name);
+      checkpointer.record(record);
+    }
+    checkpointer.finish(std::chrono::seconds(60));
+  }
+  std::filesystem::remove_all(folder);
+  ASSERT_EQ(found.size(), 2u);
+  EXPECT_TRUE(found[0].session);
+  EXPECT_EQ(found[0].blades, std::vector<std::string>{left});
+  EXPECT_FALSE(found[1].session);
+  EXPECT_EQ(found[1].blades, std::vector<std::string>{left}) << "whose the last stroke is";
 }
 
 }  // namespace
