@@ -58,13 +58,15 @@ TEST_F(SourceNamesTest, AreThoseWhosePosesAreThereAndTheRestIsCounted) {
 }
 
 TEST_F(SourceNamesTest, AResetAndAnUndoTakeTheirsAlong) {
-  come("before the reset");
+  for (int i = 0; i < 9; ++i) come("before the reset " + std::to_string(i));
   records_.emplace_back(protocol::ResetRecord{6, 0});
-  come("before the reset", false);  // as the server names those who are there, or were last
+  come("before the reset 8", false);  // as the server names those who are there, or were last
   come("left");
   come("undone");
-  records_.emplace_back(protocol::UndoRecord{7, 0, 0, clock_ns_, 0, 0});
-  come("undone", false);
+  const std::int64_t undone_ns = clock_ns_;
+  for (int i = 0; i < 9; ++i) come("undone, too");
+  records_.emplace_back(protocol::UndoRecord{7, 0, 0, undone_ns, 0, 0});
+  come("undone, too", false);
   come("last");
   EXPECT_EQ(names().names, (Names{"left", "last"}));
 }
