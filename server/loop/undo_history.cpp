@@ -50,9 +50,9 @@ void UndoHistory::note(const JournalRecord& record, const core::CutSession& sess
   if (record.kind == JournalRecord::Kind::kOpened && now_.blades[record.source].name != record.name)
     now_.blades[record.source] = {record.name, 0, 0};
   if (record.begins_stroke) {
-    // A pose that ends one stroke and begins the next commits the rest of the first one only now.
-    const bool ended_before = record.verdict != core::PoseVerdict::kNewStroke;
-    if (!changed_ && ended_before && strokes_ > 0) drop_last_point();
+    // Not while its stroke is under way: another blade's goes on, and a pose that ends one stroke and begins the next commits the rest of the first one only now.
+    if (!changed_ && strokes_ > 0 && !session.in_stroke(spans_.back().points.back().before.source))
+      drop_last_point();
     const double way_s = spans_.empty() ? 0 : thread_cpu_s() - spans_.back().saved_cpu_s;
     if (spans_.empty() || !spans_.back().whole || way_s > std::max(kLongWay_s, 5 * save_s_))
       begin_span(session);

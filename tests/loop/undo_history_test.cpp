@@ -196,6 +196,29 @@ TEST_F(UndoHistoryTest, WhatAnotherBladeCutsMeanwhileMakesNoStrokeOfABlades) {
   undo_to(0);
 }
 
+// Two hands begin before either has cut anything: each has its stroke.
+TEST_F(UndoHistoryTest, TwoThatBeginAtOnceHaveAStrokeEach) {
+  const std::string left = "left", right = "right";
+  open(0, left);
+  open(1, right);
+  const auto poses = tests::sweep_through(150, 1000, 0.7, 0.1, 1000);
+  JournalRecord record;
+  record.source = 1;
+  for (std::size_t i = 0; i < poses.size(); ++i) {
+    record.pose = poses[i];
+    record.arrival_ns = poses[i].t_ns;
+    record.begins_stroke = i == 0;
+    apply(record);
+    if (i == 0) stroke(0.3);
+  }
+  for (const std::string& name : {left, right}) {
+    const BeforeStroke* const last = history_->last(&name);
+    ASSERT_NE(last, nullptr) << name;
+    EXPECT_EQ(last->revision, 0u);
+    EXPECT_EQ(history_->cut_since(*last).size(), 2u);
+  }
+}
+
 // However many strokes there are, the memory is bounded: the oldest can no longer be undone, the last one always can.
 TEST_F(UndoHistoryTest, LittleRoomKeepsTheLastStroke) {
   limit(1);
