@@ -37,7 +37,7 @@ bool PendingUndos::next() {
   return true;
 }
 
-void PendingUndos::answer(UndoAnswer end) {
+void PendingUndos::answer(const UndoAnswer& end) {
   if (now_->answered) now_->answered(end);
   now_.reset();
   searching_ = false;
@@ -48,7 +48,7 @@ void PendingUndos::answer(UndoEnd end, std::uint32_t source) {
   answered.end = end;
   answered.source = source;
   if (names_[source]) answered.blades.push_back(*names_[source]);
-  answer(std::move(answered));
+  answer(answered);
 }
 
 void PendingUndos::reset() {

@@ -87,7 +87,7 @@ class PendingUndos {
   // Whether there is one to be done: the oldest, in now_.
   bool next();
   // Of the one in now_; then it is the next one's turn.
-  void answer(UndoAnswer end);
+  void answer(const UndoAnswer& end);
   // Likewise: this blade is in the way.
   void answer(UndoEnd end, std::uint32_t source);
   // A blade in its stroke, preferably another than the asker's.

@@ -31,8 +31,8 @@ void add(std::vector<std::string>& names, const std::string& name) {
 }
 
 const std::string& name_of(const BladeSums& blade) {
-  static const std::string kNone;
-  return blade.name ? *blade.name : kNone;
+  static const std::string none;
+  return blade.name ? *blade.name : none;
 }
 
 bool same(const BeforeStroke& a, const BeforeStroke& b) {
