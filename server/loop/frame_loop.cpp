@@ -21,8 +21,8 @@ constexpr std::int64_t kSlice_ns = 20'000;
 constexpr std::int64_t kSpin_ns = 20'000;
 // Poses begin no frame earlier than this after the last one began, so that a flood of them leaves time to others.
 constexpr std::int64_t kShortest_ns = 100'000;
-// The part of what budget_fraction leaves of a frame that a body's deformation may use as well: it takes five to ten frames, and what comes
-// after it waits for it.
+// The part of what budget_fraction leaves of a frame that a body's deformation may use as well, and the cuts that it waits for: it takes
+// several frames, and the simulation's next one is on its way.
 constexpr double kStepPart = 0.4;
 // What moving all vertices of a step at once is expected to take at most.
 constexpr std::int64_t kLongestStep_ns = 400'000;
@@ -256,7 +256,6 @@ void FrameLoop::start_deformation(std::int64_t now_ns) {
   if (!record.positions) return;
   record.kind = JournalRecord::Kind::kDeform;
   record.arrival_ns = record.positions->arrival_ns;
-  batches_before_step_ = session_->backlog_batches();
   session_->deform(record.positions);
   deforming_ = record.positions;
   times_.push({record.arrival_ns, now_ns});
@@ -418,7 +417,7 @@ void FrameLoop::cut(std::int64_t cuts_until_ns, std::int64_t steps_until_ns, std
       return;
     }
     any_slice = true;
-    const std::int64_t until_ns = deforming_ && batches_before_step_ == 0 ? steps_until_ns : cuts_until_ns;
+    const std::int64_t until_ns = deforming_ ? steps_until_ns : cuts_until_ns;
     const std::int64_t slice = std::min(kSlice_ns, until_ns - now);
     std::int64_t units = cost_.units_in(std::max<std::int64_t>(slice, 0));
     if (options_.units_per_frame > 0) units = units_left;
@@ -469,10 +468,7 @@ void FrameLoop::commit(PublishedDelta& out, std::int64_t now_ns) {
     stats_.batch_cut.record(delta_work_ns_);
     stats_.pose_to_drain.record(times.drain_ns - times.arrival_ns);
     stats_.pose_to_cut.record(now_ns - times.arrival_ns);
-    if (is_whole) {
-      if (batches_before_step_ > 0) --batches_before_step_;
-      bump(stats_.batches);
-    }
+    if (is_whole) bump(stats_.batches);
   } else {
     stats_.deform.record(delta_work_ns_);
     bump(stats_.deformations);

@@ -136,7 +136,6 @@ class FrameLoop {
   input::PositionsSlot* positions_ = nullptr;
   std::shared_ptr<const core::VertexPositions> deforming_;  // while a step is under way
   std::int64_t step_ns_ = 0;                                // that moving the last one's vertices took
-  std::size_t batches_before_step_ = 0;                     // that still are, while a step is under way
   DeltaSink& sink_;
   Journal* const journal_;
   const LoopOptions options_;
