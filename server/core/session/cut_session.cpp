@@ -33,7 +33,7 @@ CutSession::CutSession(const MeshData& mesh, const CutConfig& config, std::span<
       pieces_(mesh_),
       fields_(fields, mesh, mesh_),
       measured_(workspace_),
-      mover_(mesh_, workspace_, config.policy != Policy::kCroll),
+      mover_(mesh_, workspace_, pieces_.clusters(), config.policy != Policy::kCroll),
       follower_(mesh_, workspace_) {
   recall(has_its_cut_memory(mesh) ? std::span(mesh.cut_memory) : std::span<const std::byte>());
 }
@@ -45,7 +45,7 @@ CutSession::CutSession(const LoadedBody& body, const CutConfig& config)
       pieces_(mesh_, body.clusters()),
       fields_(body.fields()),
       measured_(workspace_),
-      mover_(mesh_, workspace_, config.policy != Policy::kCroll),
+      mover_(mesh_, workspace_, pieces_.clusters(), config.policy != Policy::kCroll),
       follower_(mesh_, workspace_) {
   recall(body.cut_memory());
 }

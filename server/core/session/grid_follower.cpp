@@ -14,6 +14,18 @@ constexpr std::int64_t kQuarters = 1;  // of a unit, for a vertex or a tetrahedr
 
 }  // namespace
 
+void GridFollower::look_at(std::span<const VertexId> vertices, std::span<const Vec3> targets, const Vec3& low,
+                           const Vec3& high) {
+  const BoundaryGrid& grid = workspace_.grid;
+  if (!grid.contains(low) || !grid.contains(high)) {
+    for (const Vec3& target : targets) outside_ += grid.contains(target) ? 0 : 1;
+  }
+  if (rebuilt_) return;
+  for (std::size_t i = 0; i < vertices.size(); ++i) {
+    if (grid.leaves_anchor(mesh_, vertices[i], targets[i])) leaving_.push_back(vertices[i]);
+  }
+}
+
 void GridFollower::settle(const Step& step) {
   rebuilt_ = rebuilt_ || outside_ > 0;
   any_left_ = false;
@@ -79,7 +91,7 @@ bool GridFollower::leave(const Step& step, WorkBudget& budget) {
 bool GridFollower::follow(const Step& step, WorkBudget& budget) {
   if (step.all) {
     return step.all->visit_boundary(next_, budget,
-                                    [&](TetId t) { enter_where_left(step, t, step.all->vertices(t)); });
+                                    [&](TetId t) { enter_where_left(step, t, mesh_.vertices(t)); });
   }
   return in_chunks(next_, step.listed.size(), budget, kQuarters, [&](std::size_t i) {
     enter_where_left(step, step.listed[i], mesh_.vertices(step.listed[i]));

@@ -2,6 +2,7 @@
 
 #include <array>
 #include <cstddef>
+#include <span>
 #include <vector>
 
 #include "server/core/cut/cut_workspace.hpp"
@@ -26,17 +27,15 @@ class GridFollower {
     const std::vector<TetId>& listed;
     const StepTets* all = nullptr;
   };
-  // Call begin(), then look_at() for each vertex and its new place, ascending, then settle() for all of them.
+  // Call begin(), then look_at() for all vertices and their new places, ascending, some at a time, between `low` and `high`, then settle().
   void begin() {
     rebuilt_ = workspace_.grid.overgrown() || !workspace_.grid.anchored();
     outside_ = 0;
     leaving_.clear();
     staying_.clear();
   }
-  void look_at(VertexId v, const Vec3& target) {
-    outside_ += workspace_.grid.contains(target) ? 0 : 1;
-    if (!rebuilt_ && workspace_.grid.leaves_anchor(mesh_, v, target)) leaving_.push_back(v);
-  }
+  void look_at(std::span<const VertexId> vertices, std::span<const Vec3> targets, const Vec3& low,
+               const Vec3& high);
   // The vertex only goes to `target` instead, or stays. Ascending, each once.
   void look_again(VertexId v, const Vec3& instead_of, const Vec3& target, bool stays) {
     outside_ -= workspace_.grid.contains(instead_of) ? 0 : 1;

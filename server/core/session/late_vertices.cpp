@@ -1,6 +1,7 @@
 #include "server/core/session/late_vertices.hpp"
 
 #include <algorithm>
+#include <utility>
 
 #include "server/core/mesh/vertex_samples.hpp"
 #include "server/core/session/in_chunks.hpp"
@@ -11,6 +12,8 @@ namespace incise::core {
 namespace {
 
 constexpr std::size_t kBlock = 64;  // vertices
+// So many numbers are left for a step that begins.
+constexpr std::uint32_t kLastSerial = 1u << 31;
 // Of so many others it is told well enough how a vertex goes; else their neighbours are asked, too.
 constexpr std::size_t kEnough = 6;
 // How far the body may be strained from what it is at rest; what seems to be more is an accident of a few points.
@@ -46,6 +49,12 @@ bool LateVertices::is_known(const VertexPositions& positions, VertexId v) const 
   return v < mesh_.vertex_slots() && mesh_.vertex_tet(v) != kNone && known_since_[v] <= positions.revision;
 }
 
+bool LateVertices::are_known(const VertexPositions& positions, VertexId first, VertexId last) const {
+  for (std::size_t block = first / kBlock; block <= last / kBlock; ++block)
+    if (latest_[block] > positions.revision) return false;
+  return true;
+}
+
 const Vec3* LateVertices::wanted_place(const VertexPositions& positions, VertexId v) const {
   if (!is_known(positions, v)) return nullptr;
   std::size_t at = 0;
@@ -71,7 +80,12 @@ void LateVertices::begin(const VertexPositions& positions, std::span<const Verte
   placed_.clear();
   places_.assign(clinging.begin(), clinging.end());
   place_at_.resize(mesh_.vertex_slots(), 0);
-  asked_.resize(mesh_.vertex_slots(), 0);
+  // After hours.
+  if (serial_ > kLastSerial) {
+    met_.assign(met_.size(), 0);
+    serial_ = 0;
+  }
+  met_.resize(mesh_.vertex_slots(), 0);
   note_places(0);
 }
 
@@ -138,17 +152,22 @@ void LateVertices::place(VertexId v, WorkBudget& budget) {
 
 // Takes in the neighbours of what is around, and how those go that are known: from their places at rest, so that no step leaves an error to the next one.
 void LateVertices::look_farther(WorkBudget& budget) {
+  ++serial_;
+  for (const VertexId w : around_) met_[w] = serial_;
   const std::size_t inner = around_.size();
+  std::size_t looked_at = 0;
   for (std::size_t i = 0; i < inner; ++i) {
     mesh_.star(around_[i], star_);
+    looked_at += 4 * star_.size();
+    // Each once: of a star's corners most are the same few vertices.
     for (const std::uint32_t corner : star_) {
-      const auto& all = mesh_.vertices(tet_of(corner));
-      around_.insert(around_.end(), all.begin(), all.end());
+      for (const VertexId w : mesh_.vertices(tet_of(corner))) {
+        if (std::exchange(met_[w], serial_) != serial_) around_.push_back(w);
+      }
     }
   }
-  budget.charge(kPlaceCost + static_cast<std::int64_t>(around_.size()) / kVerticesAUnit);
+  budget.charge(kPlaceCost + static_cast<std::int64_t>(looked_at) / kVerticesAUnit);
   std::sort(around_.begin(), around_.end());
-  around_.erase(std::unique(around_.begin(), around_.end()), around_.end());
   begin_fit();
   for (const VertexId w : around_) add_to_fit(w);
 }
@@ -185,7 +204,7 @@ void LateVertices::begin_spreading() {
   places_.insert(places_.end(), placed_.begin(), placed_.end());
   note_places(before);
   front_.clear();
-  ++level_;
+  ++serial_;
   phase_ = placed_.empty() ? Phase::kParts : Phase::kSpread;
 }
 
@@ -194,8 +213,8 @@ void LateVertices::ask_around(VertexId v, WorkBudget& budget) {
   budget.charge(static_cast<std::int64_t>(star_.size()) / kVerticesAUnit);
   for (const std::uint32_t corner : star_) {
     for (const VertexId w : mesh_.vertices(tet_of(corner))) {
-      if (!is_late(w) || asked_[w] == level_ || has_place(w)) continue;
-      asked_[w] = level_;
+      if (!is_late(w) || met_[w] == serial_ || has_place(w)) continue;
+      met_[w] = serial_;
       front_.push_back(w);
     }
   }

@@ -41,6 +41,8 @@ class LateVertices {
   void note_cut(const Delta& delta);
   // Whether the simulation that sent these knew where v is.
   bool is_known(const VertexPositions& positions, VertexId v) const;
+  // Whether it surely knew where all of these are that are in use.
+  bool are_known(const VertexPositions& positions, VertexId first, VertexId last) const;
   // Where these positions want a vertex; null: they do not say so, or did not know where it is. Of several positions: O(log(positions)).
   const Vec3* wanted_place(const VertexPositions& positions, VertexId v) const;
 
@@ -89,8 +91,8 @@ class LateVertices {
   std::vector<VertexPlace> placed_;      // since the last spreading
   std::size_t clinging_ = 0;             // of places_, the first
   std::vector<std::uint32_t> place_at_;  // by vertex: where it is in places_, if it is
-  std::vector<std::uint32_t> asked_;     // by vertex: the spreading that took it to front_
-  std::uint32_t level_ = 0;              // which spreading, ever
+  std::vector<std::uint32_t> met_;       // by vertex: the look or the spreading that met it last
+  std::uint32_t serial_ = 0;             // of that, ever
   std::vector<Corner> star_;
   std::vector<VertexId> around_;
   std::vector<Vec3> from_, to_;

@@ -32,6 +32,7 @@ class PieceTracker {
   // Its members that do not follow from the mesh, and the clusters, which decide in which order parts end.
   void archive(Archive& io);
 
+  const TetClusters& clusters() const { return clusters_; }
   // Pieces there have been so far; ids run below it.
   std::uint32_t pieces() const { return next_piece_; }
   // Which piece a living tetrahedron is in, between two steps. Not part of the state that the hash names.

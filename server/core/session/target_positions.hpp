@@ -4,6 +4,8 @@
 #include <array>
 #include <cmath>
 #include <cstddef>
+#include <cstdint>
+#include <span>
 #include <vector>
 
 #include "server/core/geometry/vec3.hpp"
@@ -28,12 +30,45 @@ class TargetPositions {
     if (exact_.empty()) origin_ = p;
     exact_.push_back(p);
     rough_.push_back(rounded(p));
+    note_extent(p, p);
   }
   void set(VertexId v, const Vec3& p) {
     exact_[v] = p;
     rough_[v] = rounded(p);
+    note_extent(p, p);
   }
-  void prefetch(VertexId v) const { __builtin_prefetch(&rough_[v]); }
+  // The same for several; all lie between `low` and `high`.
+  void set(std::span<const VertexId> vertices, std::span<const Vec3> places, const Vec3& low,
+           const Vec3& high) {
+    if (vertices.empty()) return;
+    for (std::size_t i = 0; i < vertices.size(); ++i) {
+      exact_[vertices[i]] = places[i];
+      rough_[vertices[i]] = rounded(places[i]);
+    }
+    note_extent(low, high);
+  }
+
+  // How it looks at some tetrahedra; all ways find the same.
+  using Look = std::uint64_t (*)(const TargetPositions&, const std::array<VertexId, 4>*, std::size_t,
+                                 std::size_t);
+  static std::uint64_t look_anywhere(const TargetPositions& at, const std::array<VertexId, 4>* tets,
+                                     std::size_t count, std::size_t then) {
+    return at.look(tets, count, then);
+  }
+#if defined(__x86_64__)
+  [[gnu::target("avx2")]] static std::uint64_t look_with_avx2(const TargetPositions& at,
+                                                              const std::array<VertexId, 4>* tets,
+                                                              std::size_t count, std::size_t then) {
+    return at.look(tets, count, then);
+  }
+  static Look fastest() {
+    return __builtin_cpu_supports("avx2") ? look_with_avx2 : look_anywhere;
+  }
+#else
+  static Look fastest() {
+    return look_anywhere;
+  }
+#endif
 
   // Call before surely_thick() and after the last set(). `thick`: six volumes, m^3. `edge`: surely_thick() says no of a tetrahedron
   // with much longer ones, m.
@@ -46,51 +81,91 @@ class TargetPositions {
     rough_edges_ = static_cast<float>(edge * edge * (1 - 16 * kUnit));
   }
 
-  // Of four tetrahedra, bit k of tets[k]: whether six volumes of it are surely at least `thick`; where it says no, the exact positions tell.
-  unsigned surely_thick(const std::array<VertexId, 4>* tets) const {
-    const Four a = corners(tets, 0);
-    const Four b = corners(tets, 1) - a, c = corners(tets, 2) - a, d = corners(tets, 3) - a;
-    const Lanes volumes =
-        (b.y * c.z - b.z * c.y) * d.x + (b.z * c.x - b.x * c.z) * d.y + (b.x * c.y - b.y * c.x) * d.z;
-    const Lanes edges = b.squared() + c.squared() + d.squared();
-    // What is not a number compares as false.
-    const auto thick = (volumes >= rough_thick_) & (edges <= rough_edges_);
-    return (static_cast<unsigned>(thick[0]) & 1) | (static_cast<unsigned>(thick[1]) & 2) |
-           (static_cast<unsigned>(thick[2]) & 4) | (static_cast<unsigned>(thick[3]) & 8);
-  }
-  bool surely_thick(const std::array<VertexId, 4>& v) const {
-    const std::array<VertexId, 4> four[4] = {v, v, v, v};
-    return surely_thick(four) != 0;
+  // Bit k: whether six volumes of the k-th of `count` tetrahedra, at most 64, are surely at least `thick`; where it says no, the exact
+  // positions tell. Those beyond a multiple of eight are not looked at: no.
+  // `then`: so many follow them that are looked at next. Between two frames others use the caches, so what comes is fetched ahead.
+  std::uint64_t surely_thick(const std::array<VertexId, 4>* tets, std::size_t count, std::size_t then = 0,
+                             Look how = fastest()) const {
+    return how(*this, tets, count, then);
   }
 
  private:
-  using Lanes [[gnu::vector_size(16)]] = float;     // x, y, z and nothing, m from origin_
+  static constexpr std::size_t kLanes = 8;
+  static constexpr std::size_t kAhead = 3 * kLanes;  // tetrahedra, of what is to be fetched
+  using Place [[gnu::vector_size(16)]] = float;      // x, y, z and nothing, m from origin_
+  using Lanes [[gnu::vector_size(4 * kLanes)]] = float;
+  using Bits [[gnu::vector_size(4 * kLanes)]] = std::int32_t;
   static constexpr double kUnit = 1.0 / (1 << 24);  // of the rounding of a float
 
-  // Points of four tetrahedra.
-  struct Four {
-    Lanes x, y, z;
-    friend Four operator-(const Four& p, const Four& q) { return {p.x - q.x, p.y - q.y, p.z - q.z}; }
-    Lanes squared() const { return x * x + y * y + z * z; }
-  };
-  Four corners(const std::array<VertexId, 4>* tets, std::size_t corner) const {
-    const Lanes p = rough_[tets[0][corner]], q = rough_[tets[1][corner]], r = rough_[tets[2][corner]],
-                s = rough_[tets[3][corner]];
-    const Lanes pq = __builtin_shufflevector(p, q, 0, 4, 1, 5),
-                rs = __builtin_shufflevector(r, s, 0, 4, 1, 5);
-    return {__builtin_shufflevector(pq, rs, 0, 1, 4, 5), __builtin_shufflevector(pq, rs, 2, 3, 6, 7),
-            __builtin_shufflevector(__builtin_shufflevector(p, q, 2, 6, 3, 7),
-                                    __builtin_shufflevector(r, s, 2, 6, 3, 7), 0, 1, 4, 5)};
+  [[gnu::always_inline]] inline std::uint64_t look(const std::array<VertexId, 4>* tets, std::size_t count,
+                                                   std::size_t then) const {
+    std::uint64_t thick = 0;
+    for (std::size_t i = 0; i + kLanes <= count; i += kLanes) {
+      if (i + kAhead + kLanes <= count + then) {
+        for (std::size_t k = i + kAhead; k < i + kAhead + kLanes; ++k)
+          for (const VertexId v : tets[k]) __builtin_prefetch(&rough_[v]);
+      }
+      thick |= std::uint64_t{look_at_some(tets + i)} << i;
+    }
+    return thick;
   }
 
-  Lanes rounded(const Vec3& p) {
+  // The same corner of eight tetrahedra.
+  struct Points {
+    Lanes x, y, z;
+  };
+  [[gnu::always_inline]] inline void corners(const std::array<VertexId, 4>* tets, std::size_t corner,
+                                             Points& out) const {
+    Lanes two[4];  // rows, of the k-th tetrahedron and of the one four after it
+    for (std::size_t k = 0; k < 4; ++k) {
+      two[k] = __builtin_shufflevector(rough_[tets[k][corner]], rough_[tets[k + 4][corner]], 0, 1, 2, 3, 4, 5,
+                                       6, 7);
+    }
+    const auto& [p, q, r, s] = two;
+    const Lanes pq = __builtin_shufflevector(p, q, 0, 8, 1, 9, 4, 12, 5, 13),
+                rs = __builtin_shufflevector(r, s, 0, 8, 1, 9, 4, 12, 5, 13);
+    out.x = __builtin_shufflevector(pq, rs, 0, 1, 8, 9, 4, 5, 12, 13);
+    out.y = __builtin_shufflevector(pq, rs, 2, 3, 10, 11, 6, 7, 14, 15);
+    out.z = __builtin_shufflevector(__builtin_shufflevector(p, q, 2, 10, 3, 11, 6, 14, 7, 15),
+                                    __builtin_shufflevector(r, s, 2, 10, 3, 11, 6, 14, 7, 15), 0, 1, 8, 9, 4,
+                                    5, 12, 13);
+  }
+
+  // Bit k: whether the k-th of eight is surely thick.
+  [[gnu::always_inline]] inline unsigned look_at_some(const std::array<VertexId, 4>* tets) const {
+    Points a, b, c, d;
+    corners(tets, 0, a);
+    corners(tets, 1, b);
+    corners(tets, 2, c);
+    corners(tets, 3, d);
+    for (Points* p : {&b, &c, &d}) {
+      p->x -= a.x;
+      p->y -= a.y;
+      p->z -= a.z;
+    }
+    const Lanes volumes =
+        (b.y * c.z - b.z * c.y) * d.x + (b.z * c.x - b.x * c.z) * d.y + (b.x * c.y - b.y * c.x) * d.z;
+    const Lanes edges = b.x * b.x + b.y * b.y + b.z * b.z + (c.x * c.x + c.y * c.y + c.z * c.z) +
+                        (d.x * d.x + d.y * d.y + d.z * d.z);
+    // What is not a number compares as false.
+    const Bits bits = (volumes >= rough_thick_) & (edges <= rough_edges_) & Bits{1, 2, 4, 8, 16, 32, 64, 128};
+    int all = 0;
+    for (std::size_t k = 0; k < kLanes; ++k) all |= bits[k];
+    return static_cast<unsigned>(all);
+  }
+
+  Place rounded(const Vec3& p) const {
     const Vec3 from = p - origin_;
-    farthest_ = std::max({farthest_, std::abs(from.x), std::abs(from.y), std::abs(from.z)});
-    return Lanes{static_cast<float>(from.x), static_cast<float>(from.y), static_cast<float>(from.z), 0};
+    return Place{static_cast<float>(from.x), static_cast<float>(from.y), static_cast<float>(from.z), 0};
+  }
+  void note_extent(const Vec3& low, const Vec3& high) {
+    const Vec3 a = low - origin_, b = high - origin_;
+    farthest_ = std::max({farthest_, std::abs(a.x), std::abs(a.y), std::abs(a.z), std::abs(b.x),
+                          std::abs(b.y), std::abs(b.z)});
   }
 
   std::vector<Vec3> exact_;
-  std::vector<Lanes> rough_;
+  std::vector<Place> rough_;
   Vec3 origin_;          // the first vertex's first place
   double farthest_ = 0;  // any coordinate from there, ever
   float rough_thick_ = 0, rough_edges_ = 0;

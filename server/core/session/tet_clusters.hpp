@@ -39,6 +39,9 @@ class TetClusters {
   // With the mesh. New tetrahedra are in no cluster.
   void grow();
 
+  // Those of each cluster side by side, among some that are in none.
+  std::span<const TetId> members() const { return members_; }
+
   // False: t is dead, or has no cluster yet.
   bool has(TetId t) const { return cluster_of_[t] != kNone; }
   // Of a tetrahedron that has a cluster.

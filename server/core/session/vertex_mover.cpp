@@ -26,7 +26,6 @@ constexpr double kLongest = 8;
 // The longest edge of a tetrahedron may be this many mean lengths, or this many times what it is at rest. A longer one is no tissue any more,
 // and the boundary grid would list it in each cell of its box.
 constexpr double kStretched = 16, kStretchedAtRest = 4;
-constexpr TetId kAhead = 12;  // tetrahedra, of what is to be fetched
 // What elements cost, in quarters of a unit of work: a number or a tetrahedron, and a star.
 constexpr std::int64_t kSmall = 1, kStar = 20;
 
@@ -41,13 +40,14 @@ double squared_longest_edge(const Vec3& a, const Vec3& b, const Vec3& c, const V
 
 }  // namespace
 
-VertexMover::VertexMover(TetMesh& mesh, CutWorkspace& workspace, bool stays_valid)
+VertexMover::VertexMover(TetMesh& mesh, CutWorkspace& workspace, const TetClusters& clusters,
+                         bool stays_valid)
     : mesh_(mesh),
       workspace_(workspace),
       stays_valid_(stays_valid),
       late_(mesh),
       pass_(workspace),
-      tets_(mesh),
+      tets_(mesh, clusters),
       grid_(mesh, workspace) {}
 
 void VertexMover::note_cut(const Delta& delta) {
@@ -167,7 +167,6 @@ bool VertexMover::may_move(VertexId v, const Vec3& to) {
 void VertexMover::want(VertexId v, const Vec3& to) {
   wanted_[v] = serial_;
   reach_[v] = kFull;
-  target_.set(v, to);
   moved_.push_back(v);
   moved_positions_.push_back(to);
 }
@@ -202,6 +201,39 @@ void VertexMover::take_late() {
   if (may_move(v, place)) want(v, place);
 }
 
+// Whether these entries follow each other, and all that is wanted of them is what they say.
+bool VertexMover::is_plain(std::size_t first, std::size_t stop) {
+  if (!positions_->ids.empty()) return false;
+  const VertexId v = positions_->id(first), last = positions_->id(stop - 1);
+  if (v > last || last >= mesh_.vertex_slots() || (!moved_.empty() && v <= moved_.back())) return false;
+  if (next_given_ < v) take_before(v);
+  return next_given_ > last && late_.are_known(*positions_, v, last);
+}
+
+void VertexMover::take_plain(std::size_t first, std::size_t stop) {
+  std::array<VertexId, kChunk> vertices;
+  std::array<Vec3, kChunk> places;
+  std::size_t count = 0;
+  VertexId v = positions_->id(first);
+  for (std::size_t i = first; i < stop; ++i, ++v) {
+    const Vec3& to = positions_->positions[i];
+    if (!mesh_.is_used(v)) {
+      ++passed_over_;
+    } else if (to != mesh_.position(v)) {
+      if (!is_place(to)) {
+        held_.push_back(v);
+        continue;
+      }
+      wanted_[v] = serial_;
+      reach_[v] = kFull;
+      vertices[count] = v;
+      places[count++] = to;
+    }
+  }
+  moved_.insert(moved_.end(), vertices.begin(), vertices.begin() + count);
+  moved_positions_.insert(moved_positions_.end(), places.begin(), places.begin() + count);
+}
+
 void VertexMover::take(WorkBudget& budget) {
   const auto& entries = positions_->positions;
   if (next_ == 0) {
@@ -213,7 +245,9 @@ void VertexMover::take(WorkBudget& budget) {
   const bool done =
       chunk_by_chunk(next_, entries.size(), budget, kSmall, [&](std::size_t first, std::size_t stop) {
         const std::size_t before = moved_.size();
-        for (std::size_t i = first; i < stop; ++i) {
+        const bool plain = is_plain(first, stop);
+        if (plain) take_plain(first, stop);
+        for (std::size_t i = plain ? stop : first; i < stop; ++i) {
           const VertexId v = positions_->id(i);
           if (next_given_ < v) take_before(v);
           if (!late_.is_known(*positions_, v)) {
@@ -252,8 +286,13 @@ void VertexMover::take_known() {
 // What the moved vertices from `first` on do to the hash and to the grid, while they are in the caches. settle() corrects it
 // where one gives way.
 void VertexMover::note_moved(std::size_t first) {
-  for (std::size_t i = first; i < moved_.size(); ++i) grid_.look_at(moved_[i], moved_positions_[i]);
-  hash_change_ ^= hash_of_move(std::span(moved_).subspan(first), std::span(moved_positions_).subspan(first));
+  const std::span vertices = std::span(moved_).subspan(first);
+  const std::span places = std::span(moved_positions_).subspan(first);
+  Vec3 low{INFINITY, INFINITY, INFINITY}, high{-INFINITY, -INFINITY, -INFINITY};
+  for (const Vec3& p : places) extend(p, low, high);
+  target_.set(vertices, places, low, high);
+  grid_.look_at(vertices, places, low, high);
+  hash_change_ ^= hash_of_move(vertices, places);
 }
 
 std::uint64_t VertexMover::hash_of_move(std::span<const VertexId> vertices, std::span<const Vec3> to) const {
@@ -302,8 +341,8 @@ void VertexMover::look(WorkBudget& budget) {
 }
 
 void VertexMover::check(WorkBudget& budget) {
-  if (next_ == 0) target_.begin_looking(surely_thick_, kLongest * mesh_.mean_edge_length());
   if (first_round_ && all_tets_) {
+    if (next_ == 0) target_.begin_looking(surely_thick_, kLongest * mesh_.mean_edge_length());
     check_all(budget);
   } else {
     check_listed(budget);
@@ -315,18 +354,10 @@ void VertexMover::check_all(WorkBudget& budget) {
   static_assert(kChunk == 64, "StepTets::alive_64");
   const bool done =
       chunk_by_chunk(next_, count, budget, kSmall, [this, count](std::size_t first, std::size_t stop) {
-        std::uint64_t look = tets_.alive_64(static_cast<TetId>(first));
-        for (std::size_t i = first; i + 4 <= stop; i += 4) {
-          // In a mesh file neighbours lie anywhere, and a large one's vertices are not in the nearer caches.
-          for (std::size_t k = i + kAhead; k < std::min(i + kAhead + 4, count); ++k)
-            for (const VertexId v : tets_.vertices(static_cast<TetId>(k))) target_.prefetch(v);
-          const std::uint64_t thick = target_.surely_thick(&tets_.vertices(static_cast<TetId>(i)));
-          look &= ~(thick << (i - first));
-        }
-        for (; look != 0; look &= look - 1) {
-          const auto t = static_cast<TetId>(first) + static_cast<TetId>(std::countr_zero(look));
-          check_tet(tets_.vertices(t));
-        }
+        std::uint64_t look =
+            tets_.alive_64(first) & ~target_.surely_thick(&tets_.vertices(first), stop - first, count - stop);
+        for (; look != 0; look &= look - 1)
+          check_tet(tets_.vertices(first + static_cast<std::size_t>(std::countr_zero(look))));
       });
   if (!done) return;
   checked_ += count;
@@ -337,7 +368,7 @@ void VertexMover::check_listed(WorkBudget& budget) {
   const bool done = in_chunks(next_, to_check_.size(), budget, kSmall, [this](std::size_t i) {
     const TetId t = to_check_[i];
     if (!mesh_.alive(t)) return;
-    if (!target_.surely_thick(mesh_.vertices(t))) check_tet(mesh_.vertices(t));
+    check_tet(mesh_.vertices(t));
     if (first_round_ && mesh_.on_boundary(t)) boundary_.push_back(t);
   });
   if (!done) return;

@@ -34,9 +34,9 @@ class VertexMover {
   // What clings to a blade is where the simulation wants it if it is so near to that, and does not follow by less.
   static constexpr double kSamePlace_h = 5e-3;
 
-  // Both must outlive this. `stays_valid`: every tetrahedron is right-handed; else those that are flat or inside out, as the policy `croll` leaves them, hold
+  // All must outlive this. `stays_valid`: every tetrahedron is right-handed; else those that are flat or inside out, as the policy `croll` leaves them, hold
   // nothing back.
-  VertexMover(TetMesh& mesh, CutWorkspace& workspace, bool stays_valid);
+  VertexMover(TetMesh& mesh, CutWorkspace& workspace, const TetClusters& clusters, bool stays_valid);
 
   // `positions` must live until commit(), and `clinging`, the vertices at blades, ascending. `known`: what gives way,
   // from another session that was in the same state: if most vertices move, nothing is checked. It must live until commit().
@@ -89,6 +89,8 @@ class VertexMover {
 
   void gather(WorkBudget& budget);
   void take(WorkBudget& budget);
+  bool is_plain(std::size_t first, std::size_t stop);
+  void take_plain(std::size_t first, std::size_t stop);
   bool may_move(VertexId v, const Vec3& to);
   void want(VertexId v, const Vec3& to);
   void take_before(VertexId v);

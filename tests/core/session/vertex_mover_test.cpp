@@ -365,34 +365,6 @@ TEST(VertexMover, WhatIsKnownIsNotLookedForAgain) {
   }
 }
 
-// What a step looks at is what the mesh has, whatever was cut since the last one.
-TEST(StepTets, FollowCuts) {
-  CutSession session(body(), config());
-  const TetMesh& mesh = session.mesh();
-  StepTets tets(mesh);
-  for (int i = 0; i <= 60; ++i) {
-    session.push(0, at(1 + 8 * i, Vec3{-0.04 + 0.17 * i / 50, 0.03, 0.01 * (i % 3)}, i < 60));
-    for (const Delta& delta : run_all(session)) tets.follow(delta);
-    if (i % 4 != 0) continue;
-    for (WorkBudget budget{3}; !tets.catch_up(budget); budget = {3}) {
-    }
-    ASSERT_EQ(tets.size(), mesh.tet_slots());
-    std::vector<TetId> boundary, seen;
-    for (TetId t = 0; t < mesh.tet_slots(); ++t) {
-      ASSERT_EQ((tets.alive_64(t) >> (t % 64) & 1) != 0, mesh.alive(t)) << t;
-      if (!mesh.alive(t)) continue;
-      ASSERT_EQ(tets.vertices(t), mesh.vertices(t)) << t;
-      if (mesh.on_boundary(t)) boundary.push_back(t);
-    }
-    std::size_t next = 0;
-    for (WorkBudget budget{3}; !tets.visit_boundary(next, budget, [&](TetId t) { seen.push_back(t); });
-         budget = {3}) {
-    }
-    ASSERT_EQ(seen, boundary) << i;
-  }
-  EXPECT_GT(measure(mesh).cut_faces, 100u);
-}
-
 // A blade that goes right through separates a body that moves while it is cut: none of it slips past the blade. It moves when
 // the blade is in: tissue that moves over the blade's line from ahead, where the blade has not entered yet, is not cut. Tissue that
 // sways back over the cut may be cut off a second time.
@@ -672,53 +644,6 @@ TEST(VertexMover, APartThatMovesIsFoundWhereItWent) {
   }
 }
 
-// The quick look never calls a tetrahedron thick that is not, and hardly ever leaves a thick one to exact arithmetic.
-TEST(TargetPositions, WhatIsSurelyThickIsThick) {
-  constexpr std::uint64_t kSeed = 11;
-  Random random(kSeed);
-  for (const double distance : {0.0, 1.0, 1e4}) {
-    const Vec3 away = distance * random.direction();
-    TargetPositions positions;
-    positions.push_back(away);
-    std::vector<std::array<VertexId, 4>> tets;
-    for (int i = 0; i < 4000; ++i) {
-      // About as thick as the limit, or a thousand times thinner, or turned inside out; some far from the first vertex.
-      const Vec3 at = away + (i % 3 == 0 ? 100 : 1) * kCell * random.direction();
-      const double height = kCell * (i % 4 == 0 ? -0.1 : i % 4 == 1 ? 1e-4 : random.uniform(0.05, 0.15));
-      const Vec3 corners[4] = {at, at + Vec3{kCell, 0, 0}, at + Vec3{0, kCell, 0}, at + Vec3{0, 0, height}};
-      std::array<VertexId, 4> tet{};
-      for (int k = 0; k < 4; ++k) {
-        tet[k] = static_cast<VertexId>(positions.size());
-        positions.push_back(corners[k]);
-      }
-      tets.push_back(tet);
-    }
-    positions.set(0, away + Vec3{kCell, kCell, kCell});
-    const double thick = 0.064 * kCell * kCell * kCell;
-    positions.begin_looking(thick, 8 * kCell);
-    int are = 0, seen = 0;
-    for (const auto& v : tets) {
-      const Vec3& a = positions[v[0]];
-      const double volumes = dot(cross(positions[v[1]] - a, positions[v[2]] - a), positions[v[3]] - a);
-      const bool surely = positions.surely_thick(v);
-      if (surely) {
-        EXPECT_GE(volumes, thick) << "seed " << kSeed;
-      }
-      are += volumes >= thick;
-      seen += surely;
-    }
-    EXPECT_GT(are, 1000);
-    EXPECT_GT(seen, 3 * are / 4) << distance;
-  }
-  // Longer edges than it can vouch for.
-  TargetPositions positions;
-  for (const Vec3& p : {Vec3{}, Vec3{1, 0, 0}, Vec3{0, 1, 0}, Vec3{0, 0, 1}}) positions.push_back(p);
-  positions.begin_looking(1e-3, 1.7);
-  EXPECT_FALSE(positions.surely_thick({0, 1, 2, 3}));
-  positions.begin_looking(1e-3, 1.8);
-  EXPECT_TRUE(positions.surely_thick({0, 1, 2, 3}));
-}
-
 // A new grid has each vertex's anchor where the step takes it, whether it moves or not: the tetrahedra are entered there.
 TEST(GridFollower, ANewGridHasItsAnchorsWhereTheVerticesGo) {
   const TetMesh mesh(body());
@@ -736,7 +661,9 @@ TEST(GridFollower, ANewGridHasItsAnchorsWhereTheVerticesGo) {
   const std::vector<TetId> boundary;  // not needed for a new grid
   const GridFollower::Step step{moved, targets, boundary};
   follower.begin();
-  for (std::size_t i = 0; i < moved.size(); ++i) follower.look_at(moved[i], positions[i]);
+  Vec3 low = positions[0], high = low;
+  for (const Vec3& p : positions) extend(p, low, high);
+  follower.look_at(moved, positions, low, high);
   follower.settle(step);
   WorkBudget budget{20};
   EXPECT_FALSE(follower.advance(step, budget)) << "it is more work than that";
