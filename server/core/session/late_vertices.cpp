@@ -49,12 +49,6 @@ bool LateVertices::is_known(const VertexPositions& positions, VertexId v) const 
   return v < mesh_.vertex_slots() && mesh_.vertex_tet(v) != kNone && known_since_[v] <= positions.revision;
 }
 
-bool LateVertices::are_known(const VertexPositions& positions, VertexId first, VertexId last) const {
-  for (std::size_t block = first / kBlock; block <= last / kBlock; ++block)
-    if (latest_[block] > positions.revision) return false;
-  return true;
-}
-
 const Vec3* LateVertices::wanted_place(const VertexPositions& positions, VertexId v) const {
   if (!is_known(positions, v)) return nullptr;
   std::size_t at = 0;

@@ -41,8 +41,6 @@ class LateVertices {
   void note_cut(const Delta& delta);
   // Whether the simulation that sent these knew where v is.
   bool is_known(const VertexPositions& positions, VertexId v) const;
-  // Whether it surely knew where all of these are that are in use.
-  bool are_known(const VertexPositions& positions, VertexId first, VertexId last) const;
   // Where these positions want a vertex; null: they do not say so, or did not know where it is. Of several positions: O(log(positions)).
   const Vec3* wanted_place(const VertexPositions& positions, VertexId v) const;
 

@@ -201,13 +201,13 @@ void VertexMover::take_late() {
   if (may_move(v, place)) want(v, place);
 }
 
-// Whether these entries follow each other, and all that is wanted of them is what they say.
+// Whether these entries follow each other, and none of their vertices clings or is late: all of these have a place that is given.
 bool VertexMover::is_plain(std::size_t first, std::size_t stop) {
   if (!positions_->ids.empty()) return false;
   const VertexId v = positions_->id(first), last = positions_->id(stop - 1);
   if (v > last || last >= mesh_.vertex_slots() || (!moved_.empty() && v <= moved_.back())) return false;
   if (next_given_ < v) take_before(v);
-  return next_given_ > last && late_.are_known(*positions_, v, last);
+  return next_given_ > last;
 }
 
 void VertexMover::take_plain(std::size_t first, std::size_t stop) {
