@@ -23,7 +23,7 @@ constexpr std::int64_t kSpin_ns = 20'000;
 constexpr std::int64_t kShortest_ns = 100'000;
 // The part of what budget_fraction leaves of a frame that a body's deformation may use as well, and the cuts that it waits for: it takes
 // several frames, and the simulation's next one is on its way.
-constexpr double kStepPart = 0.4;
+constexpr double kStepPart = 0.3;
 // What moving all vertices of a step at once is expected to take at most.
 constexpr std::int64_t kLongestStep_ns = 400'000;
 // After a frame that poses began, the next ones may be so much later than a period before a frame begins without them, as

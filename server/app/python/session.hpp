@@ -21,7 +21,7 @@ namespace incise::python {
 struct Session {
   std::shared_ptr<const Body> body;
   app::Config config;
-  std::string blade_fault;  // why no pose can be taken: it is out of all proportion to the body; empty: nothing
+  std::string blade_fault;  // why no pose can be taken: it is out of proportion to the body; empty: nothing
   std::unique_ptr<core::CutSession> core;
   std::unique_ptr<ForceTrace> forces;  // null: none are wanted
   std::atomic<bool> busy = false;
