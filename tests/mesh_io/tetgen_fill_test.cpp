@@ -222,7 +222,9 @@ TEST(TetgenFill, ChildThatLeavesNothing) {
 
 TEST(TetgenFill, ChildThatFindsNoVolume) {
   const TestDirectory directory;
-  const auto result = directory.write("empty", std::string("INCTETS1", 8) + std::string(24, '\0'));
+  std::string empty("INCTETS1");
+  empty.resize(empty.size() + 24);
+  const auto result = directory.write("empty", empty);
   EXPECT_SAYS(error_with_child("for last; do :; done\ncp '" + result.string() + "' \"$last\"\n"),
               "found no volume to fill");
 }
