@@ -1109,7 +1109,7 @@ class MeetingHands : public ::testing::Test {
   // Nothing comes off that should stay, and hardly any volume is lost.
   void cut_and_judge(const std::string& mesh, const std::string& motion,
                      std::initializer_list<std::uint64_t> seeds, double most_growth = 4,
-                     double most_off_h = 1.5) const {
+                     double most_off_h = 1.5, double least_angle_deg = 0) const {
     const core::MeshData real = mesh_io::load_mesh(folder_ + "/meshes/" + mesh, {}).mesh;
     const Body loaded(real);
     const auto samples = protocol::read_motion(folder_ + "/motions/" + motion + ".csv").samples;
@@ -1126,6 +1126,7 @@ class MeetingHands : public ::testing::Test {
       EXPECT_TRUE(v.right()) << mesh << ", " << motion << ", seed " << seed << ": " << to_string(v);
       EXPECT_LE(v.growth, most_growth) << mesh << ", " << motion << ", seed " << seed;
       EXPECT_LE(v.alone_max_h, most_off_h) << mesh << ", " << motion << ", seed " << seed;
+      EXPECT_GE(v.min_angle_deg, least_angle_deg) << mesh << ", " << motion << ", seed " << seed;
       EXPECT_LE(v.merged_max_h, 0.7) << mesh << ", " << motion << ", seed " << seed;
       EXPECT_LE(std::abs(v.volume_change), 5e-4) << mesh << ", " << motion << ", seed " << seed;
       // Where hands left edges at which the tissue hung together in two fans there were up to 36 of them. One may be so long and thin that
@@ -1197,6 +1198,11 @@ TEST_F(MeetingHands, FollowBendsWhereTheSweepIsAlone) {
 // A hand that goes to and fro crosses an edge with several parts of its sweep: 0.36 h.
 TEST_F(MeetingHands, LeaveNoCrossingForTheFirstOneOfItsEdge) {
   cut_and_judge("seed_1720", "dvrk_psm2", {3612}, 4, 0.11);
+}
+
+// All vertices of a needle lay on the surface, and no flip was tried, though its edges lead from one part of what was swept to another: 1.1 degrees.
+TEST_F(MeetingHands, LeaveNoNeedleForEdgesThatAreNoneOfTheSurface) {
+  cut_and_judge("bullet_ditto.vtk", "dvrk_psm2", {3302}, 4, 0.1, 3);
 }
 
 // To better a poor element, the end of an older slit was moved along the skin: 1.3 h beyond where the blade had been.

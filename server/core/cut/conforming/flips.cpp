@@ -6,6 +6,7 @@ namespace incise::core {
 
 std::span<const TetId> Flips::improve(TetId t) {
   const auto vertices = mesh_.vertices(t);
+  is_needle_ = mesh_.worst_dihedral(t) > tolerance::kSnapFloor;
   for (const auto& edge : kEdgeVertices) {
     const auto made = remove_edge(t, vertices[edge[0]], vertices[edge[1]]);
     if (!made.empty()) return made;
@@ -17,10 +18,21 @@ std::span<const TetId> Flips::improve(TetId t) {
   return {};
 }
 
+// Whether an edge or a face, all of whose vertices are on the surface, has to stay: in a needle it may go where its middle is off the surface, for then it
+// leads through the tissue from one part of what is swept to another.
+bool Flips::has_to_stay(const Vec3& middle) const {
+  if (!is_needle_) return true;
+  cut_.work += cost::kNearby;
+  return cut_.surface().is_within(middle, tolerance::kFlipOff_h * cut_.h);
+}
+
 // The ring around the edge is filled with triangles instead, each of which makes a tetrahedron with either end: those
 // triangles whose worst tetrahedron is best (Klincsek 1980, "Minimal triangulations of polygonal domains").
 std::span<const TetId> Flips::remove_edge(TetId t, VertexId a, VertexId b) {
-  if ((cut_.on_surface(a) && cut_.on_surface(b)) || cut_.on_rim(a) || cut_.on_rim(b)) return {};
+  if (cut_.on_rim(a) || cut_.on_rim(b)) return {};
+  if (cut_.on_surface(a) && cut_.on_surface(b) &&
+      has_to_stay(lerp(mesh_.position(a), mesh_.position(b), 0.5)))
+    return {};
   mesh_.ring(t, a, b, tets_);
   const std::size_t n = tets_.size();
   cut_.work += static_cast<std::int64_t>(n);
@@ -96,7 +108,7 @@ std::span<const TetId> Flips::remove_face(HalfFace h) {
   const HalfFace o = mesh_.opposite(h);
   if (o == kNone || !cut_.may_add()) return {};
   const auto face = mesh_.face_vertices(h);
-  if (cut_.face_on_surface(h)) return {};
+  if (cut_.face_on_surface(h) && has_to_stay(mesh_.face_middle(h))) return {};
   const std::array<TetId, 2> two{tet_of(h), tet_of(o)};
   if (mesh_.region(two[0]) != mesh_.region(two[1])) return {};
   const VertexId a = mesh_.vertices(two[0])[face_of(h)], b = mesh_.vertices(two[1])[face_of(o)];

@@ -222,6 +222,8 @@ inline constexpr double kMoveOff_h = 0.01;
 // worse than kFilmKept, or than kSnapFloor where the sweep has come upon a cut: films are many there, and the body would lose their volume.
 inline constexpr double kFilmKept = dihedral_measure(0.9961946981);  // 5 degrees
 inline constexpr double kFilm_local = 0.06, kFilmOff_h = 0.06;
+// An edge between vertices on the surface, or a face, whose middle is farther off it is no part of it.
+inline constexpr double kFlipOff_h = 0.1;
 // A vertex whose star stays poor is repaired this often again, after all others.
 inline constexpr int kMaxRepeats = 2;
 // Poor tetrahedra that the repair of one vertex takes on.
