@@ -32,8 +32,8 @@ struct UndoAnswer {
   UndoEnd end = UndoEnd::kDone;
   // Of kDone the blade whose stroke it was; of kInStroke and kBegun the one that was in the way.
   std::uint32_t source = 0;
-  // Of kDone the names of the blades of which something was undone, that blade's first; of kInStroke, kBegun, kOtherBlade and kOtherCut of those that
-  // were in the way.
+  // Names. Of kDone the blades whose cuts were undone, first the one whose stroke it was; of kInStroke, kBegun, kOtherBlade and kOtherCut the blades
+  // in the way.
   std::vector<std::string> blades;
   bool was_reset = false;  // of kNoStroke: a reset has taken what there was
 };

@@ -5,7 +5,9 @@
 
 #include <chrono>
 #include <filesystem>
+#include <functional>
 #include <memory>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -40,6 +42,18 @@ class UndoHistoryTest : public ::testing::Test {
     record.begins_stroke = false;
     apply(record);
     clock_ns_ += 1'000'000'000;
+  }
+  // A stroke of source 1 that does not end; `meanwhile` is called after each pose, with its number.
+  void begin_stroke(std::span<const core::Pose> poses, const std::function<void(std::size_t)>& meanwhile) {
+    JournalRecord record;
+    record.source = 1;
+    for (std::size_t i = 0; i < poses.size(); ++i) {
+      record.pose = poses[i];
+      record.arrival_ns = poses[i].t_ns;
+      record.begins_stroke = i == 0;
+      apply(record);
+      meanwhile(i);
+    }
   }
   void open(std::uint32_t source, const std::string& name) {
     JournalRecord record;
@@ -133,16 +147,10 @@ TEST_F(UndoHistoryTest, ADeformedBodyGoesBackToTheShapeItHad) {
 // A stroke of the one blade begins and ends within one of the other: the other goes on being under way.
 TEST_F(UndoHistoryTest, AnotherBladesStrokeIsThereAsFarAsItWas) {
   const auto poses = tests::sweep_through(300, 1000, 0.3, 0.1, 1000);
-  JournalRecord record;
-  record.source = 1;
-  for (std::size_t i = 0; i < poses.size(); ++i) {
-    record.pose = poses[i];
-    record.arrival_ns = poses[i].t_ns;
-    record.begins_stroke = i == 0;
-    if (i == 0) before_.push_back({session_->revision(), session_->mesh().state_hash()});
-    apply(record);
+  before_.push_back({session_->revision(), session_->mesh().state_hash()});
+  begin_stroke(poses, [&](std::size_t i) {
     if (i == 150) stroke(0.7);
-  }
+  });
   EXPECT_EQ(history_->size(), 2u);
   undo_to(1);
   EXPECT_TRUE(session_->in_stroke(1));
@@ -180,16 +188,10 @@ TEST_F(UndoHistoryTest, WhatAnotherBladeCutsMeanwhileMakesNoStrokeOfABlades) {
   open(0, left);
   open(1, right);
   const auto poses = tests::sweep_through(300, 1000, 0.3, 0.1, 1000);
-  JournalRecord record;
-  record.source = 1;
-  for (std::size_t i = 0; i < poses.size(); ++i) {
-    record.pose = poses[i];
-    record.arrival_ns = poses[i].t_ns;
-    record.begins_stroke = i == 0;
-    if (i == 0) before_.push_back({session_->revision(), session_->mesh().state_hash()});
-    apply(record);
+  before_.push_back({session_->revision(), session_->mesh().state_hash()});
+  begin_stroke(poses, [&](std::size_t i) {
     if (i == 150) stroke(3);  // beside the cube
-  }
+  });
   EXPECT_EQ(history_->last(&left), nullptr);
   EXPECT_EQ(history_->last()->name(), right);
   before_.resize(1);
@@ -202,15 +204,9 @@ TEST_F(UndoHistoryTest, TwoThatBeginAtOnceHaveAStrokeEach) {
   open(0, left);
   open(1, right);
   const auto poses = tests::sweep_through(150, 1000, 0.7, 0.1, 1000);
-  JournalRecord record;
-  record.source = 1;
-  for (std::size_t i = 0; i < poses.size(); ++i) {
-    record.pose = poses[i];
-    record.arrival_ns = poses[i].t_ns;
-    record.begins_stroke = i == 0;
-    apply(record);
+  begin_stroke(poses, [&](std::size_t i) {
     if (i == 0) stroke(0.3);
-  }
+  });
   for (const std::string& name : {left, right}) {
     const BeforeStroke* const last = history_->last(&name);
     ASSERT_NE(last, nullptr) << name;

@@ -141,7 +141,7 @@ export type FromWorker =
   | { kind: "deforms" }
   /** The state here differs from the server's; a geometry follows. */
   | { kind: "differs" }
-  /** The live body was reset, or a stroke was undone; `by`: who did it, where the server says so; `others`: blades of which something was undone as well. */
+  /** The live body was reset, or a stroke was undone; `by`: who did it, where the server says so; `others`: the other blades whose cuts were undone. */
   | { kind: "was-reset"; undone: boolean; by: string; others: string[] }
   | { kind: "notice"; text: string }
   /** Of a session in this browser: what was asked for, or what was saved of a session that failed. */
