@@ -1005,6 +1005,12 @@ TEST(MeetingGaps, OpenWhereLeastIsOnTheWrongSide) {
       {{"seed_3234", "lasso", 392001}, {"wound_1476", "box", 392013}, {"armadillo_3717", "lasso", 392011}});
 }
 
+// What the first stroke took off the skin, 0.34 h deep and 0.2 h thick in the mean, seemed nowhere deep by points near the tetrahedra's middles,
+// and stayed by one face.
+TEST(MeetingFilms, ComeOffWhereTheyAreDeep) {
+  come_apart({{"seed_3234", "square", 396886}, {"wound_1476", "box", 397003}});
+}
+
 // All strokes come at once. A blade changed tetrahedra that another one had met and not parted yet, without telling it, and judged gaps, necks and bridges in tissue
 // that the other one was about to part.
 TEST(MeetingBlades, PartWhatTheyCutTogether) {

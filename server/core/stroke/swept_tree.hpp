@@ -141,7 +141,7 @@ bool SweptTree::any_between(const Points<N>& points, double slack_m, Visit visit
     // Most that is asked for lies beside all of it.
     if (low[axis] > high_[axis] || high[axis] < low_[axis]) return false;
   }
-  Lane low_lanes[3], high_lanes[3], point_lanes[N][3], slack{};
+  Lane low_lanes[3], high_lanes[3], point_lanes[N][3]{}, slack{};
   for (int axis = 0; axis < 3; ++axis) {
     low_lanes[axis] = lane(low[axis]);
     high_lanes[axis] = lane(high[axis]);

@@ -31,8 +31,11 @@ bool is_shallow(const CutContext& cut, TetId t, double reach) {
 
 namespace {
 
-// In a tetrahedron, to say how much of it is deep.
-constexpr int kFewPoints = 4, kManyPoints = 11;
+// A tetrahedron's points, to say how much of it is deep: the middles of so many layers' upright tetrahedra. Of this stroke's cuts alone two layers are enough.
+constexpr int kFewLayers = 2, kManyLayers = 4;
+constexpr int points_of(int layers) {
+  return layers * (layers + 1) * (layers + 2) / 6;
+}
 
 // Whether a point is that near to a cut face of its tetrahedron.
 bool is_near_own_cut(const TetMesh& mesh, TetId t, const Vec3& p, double reach) {
@@ -73,39 +76,38 @@ bool Films::is_near_cut(TetId t, const Vec3& p, double reach, Cuts cuts) {
 
 bool Films::is_deep(std::span<const TetId> tets, double least_h3, Cuts cuts) {
   const double least_m3 = least_h3 * cut_.h * cut_.h * cut_.h;
+  const int points = points_of(cuts == Cuts::kAll ? kManyLayers : kFewLayers);
   double sum_m3 = 0;
   for (TetId t : tets) {
-    const double volume_m3 = mesh_.volume(t);
-    const bool finely = cuts == Cuts::kAll && volume_m3 > least_m3 / 4;
-    sum_m3 += volume_m3 * count_deep(t, cuts, finely) / (finely ? kManyPoints : kFewPoints);
+    sum_m3 += mesh_.volume(t) * count_deep(t, cuts) / points;
     if (sum_m3 >= least_m3) return true;
   }
   return false;
 }
 
-// By points amid a tetrahedron's quarters, and between these in one that is not much smaller than the volume in question. A rib is judged by the
-// quarters alone.
-int Films::count_deep(TetId t, Cuts cuts, bool finely) {
-  std::uint8_t& deep = known(t).deep[cuts == Cuts::kThisStroke ? 0 : finely ? 2 : 1];
+int Films::count_deep(TetId t, Cuts cuts) {
+  const int layers = cuts == Cuts::kAll ? kManyLayers : kFewLayers;
+  std::uint8_t& deep = known(t).deep[cuts == Cuts::kAll];
   // A part of a batch ends by what is asked, not by what it takes.
   if (deep != Known::kUnknown) {
-    cut_.part_judging += (finely ? kManyPoints : kFewPoints) * cost::kPartFilmPoint;
+    cut_.part_judging += points_of(layers) * cost::kPartFilmPoint;
     return deep;
   }
-  const auto is_off = [&](const Vec3& p) { return is_near_cut(t, p, kDeep_h * cut_.h, cuts) ? 0 : 1; };
   const auto& v = mesh_.vertices(t);
-  const Vec3 middle = mesh_.barycentre(t);
-  int count = 0;
-  for (VertexId w : v) count += is_off(lerp(middle, mesh_.position(w), 0.5));
-  if (finely) {
-    for (const auto& edge : kEdgeVertices) {
-      const Vec3 there = lerp(mesh_.position(v[edge[0]]), mesh_.position(v[edge[1]]), 0.5);
-      count += is_off(lerp(middle, there, 0.5));
+  const Vec3 origin = mesh_.position(v[0]);
+  const double step = 1.0 / layers;
+  const Vec3 along[3] = {step * (mesh_.position(v[1]) - origin), step * (mesh_.position(v[2]) - origin),
+                         step * (mesh_.position(v[3]) - origin)};
+  deep = 0;
+  for (int i = 0; i < layers; ++i) {
+    for (int j = 0; i + j < layers; ++j) {
+      for (int k = 0; i + j + k < layers; ++k) {
+        const Vec3 p = origin + (i + 0.25) * along[0] + (j + 0.25) * along[1] + (k + 0.25) * along[2];
+        if (!is_near_cut(t, p, kDeep_h * cut_.h, cuts)) ++deep;
+      }
     }
-    count += is_off(middle);
   }
-  deep = static_cast<std::uint8_t>(count);
-  return count;
+  return deep;
 }
 
 bool Films::may_be_film(TetId t) {
@@ -139,7 +141,7 @@ bool Films::is_film(const Extent& extent, std::span<const TetId> tets) {
   };
   // What a sweep that is alone takes off is a part of the body where it reaches that far, however little of it does.
   if (!cut_.meets_cut && std::ranges::any_of(tets, is_far)) return false;
-  return !is_deep(tets, extent.least_deep_h3(cut_.h), Cuts::kAll);
+  return !is_deep(tets, kLeastDeep_h3, Cuts::kAll);
 }
 
 }  // namespace incise::core

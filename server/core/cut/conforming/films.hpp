@@ -44,11 +44,6 @@ struct Extent {
     return (is_between_cuts() ? tolerance::kOne_h : tolerance::kFilm_h) * h *
            std::min(0.5 * area_m2, cut_area_m2);
   }
-  // What is no film holds so much, at least, farther from the cuts than kDeep_h. A large film does so in places.
-  double least_deep_h3(double h) const {
-    return std::clamp(tolerance::kDeepPart * volume_m3 / (h * h * h), tolerance::kLeastDeep_h3,
-                      tolerance::kLeastPart_h3);
-  }
   // Of one that lies along a cut, or between cuts, if no part of it is deep.
   double shallow_m3(double h) const {
     if (cut_area_m2 < tolerance::kAlongCut * area_m2) return 0;
@@ -84,14 +79,14 @@ class Films {
     std::uint64_t serial = 0;
     TetId tet = kNone;
     std::uint8_t may_be_film = kUnknown;
-    // How many of its points are farther than kDeep_h from this stroke's cuts, and from all of them; of few points and of many.
-    std::array<std::uint8_t, 3> deep{kUnknown, kUnknown, kUnknown};
+    // How many of its points are farther than kDeep_h from this stroke's cuts, and from all of them.
+    std::array<std::uint8_t, 2> deep{kUnknown, kUnknown};
   };
   // Each has its place; one that another takes is found out again.
   static constexpr std::size_t kKnown = 2048;
 
   Known& known(TetId t);
-  int count_deep(TetId t, Cuts cuts, bool finely);
+  int count_deep(TetId t, Cuts cuts);
   bool is_near_cut(TetId t, const Vec3& p, double reach, Cuts cuts);
 
   const CutContext& cut_;

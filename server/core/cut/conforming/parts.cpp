@@ -53,7 +53,7 @@ Parts::Part Parts::judge(Rule rule) {
                            : films_.is_film(extent, queue_))
     return Part::kCrumb;
   if (extent.volume_m3 < kSlab_h * cut_.h * 0.5 * extent.area_m2 &&
-      !films_.is_deep(queue_, extent.least_deep_h3(cut_.h), Films::Cuts::kAll))
+      !films_.is_deep(queue_, kLeastDeep_h3, Films::Cuts::kAll))
     return Part::kCrumb;
   const auto reaches_off = [this](TetId t) { return !is_shallow(cut_, t, kOne_h * cut_.h); };
   return std::ranges::any_of(queue_, reaches_off) ? Part::kSmall : Part::kCrumb;

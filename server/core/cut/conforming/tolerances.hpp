@@ -257,10 +257,10 @@ inline constexpr double kThin_local = 0.1;
 // surface is cut.
 inline constexpr double kFilm_h = 0.15, kBetweenCuts = 0.75;
 // Where this part of its surface is cut, it may be kOne_h thick, and kUneven_h between cuts, whose faces may lie off what was swept, if it holds
-// less than kLeastDeep_h3, or than kDeepPart of itself up to kLeastPart_h3, farther from the cut than kDeep_h. And where the sweep is alone if none of it
-// reaches farther than kFilmReach_h. kSlab_h: how thick it may be where it hangs by a face that had to stay closed.
+// less than kLeastDeep_h3 farther from the cut than kDeep_h. And where the sweep is alone if none
+// of it reaches farther than kFilmReach_h. kSlab_h: how thick it may be where it hangs by a face that had to stay closed.
 inline constexpr double kUneven_h = 0.27, kAlongCut = 0.4, kDeep_h = 0.3, kLeastDeep_h3 = 0.09,
-                        kDeepPart = 0.05, kFilmReach_h = 0.42, kSlab_h = 0.4;
+                        kFilmReach_h = 0.42, kSlab_h = 0.4;
 // One in so many of a film's tetrahedra may have a vertex inside it, and so many besides in a film larger than kMaxRaggedIsland.
 inline constexpr std::size_t kFilmToInner = 8, kFilmInner = 16;
 // What hung by a flat tetrahedron that was removed goes with it where the middles of its tetrahedra are nearer to a cut than this, and it has
