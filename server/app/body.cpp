@@ -8,6 +8,7 @@
 #include "server/app/look.hpp"
 #include "server/app/offline/motion_run.hpp"
 #include "server/app/surface_asset.hpp"
+#include "server/base/wording.hpp"
 #include "server/input/hid/json_node.hpp"
 #include "server/mesh_io/field.hpp"
 #include "server/mesh_io/phantom.hpp"

@@ -5,7 +5,7 @@
 
 #include "protocol/blade_name.hpp"
 #include "server/app/offline/recorded_motion.hpp"
-#include "server/app/offline/terminal.hpp"
+#include "server/base/wording.hpp"
 #include "server/stream/quoted.hpp"
 
 namespace incise::app {

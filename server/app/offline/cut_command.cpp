@@ -10,6 +10,7 @@
 #include "server/app/offline/commands.hpp"
 #include "server/app/offline/cut_file.hpp"
 #include "server/app/offline/motion_input.hpp"
+#include "server/base/wording.hpp"
 #include "server/core/mesh/measure.hpp"
 
 namespace incise::app {

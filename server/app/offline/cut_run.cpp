@@ -5,6 +5,7 @@
 #include <numeric>
 
 #include "server/base/hex.hpp"
+#include "server/base/wording.hpp"
 #include "server/core/mesh/measure.hpp"
 
 namespace incise::app {

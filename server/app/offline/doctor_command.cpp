@@ -23,6 +23,7 @@
 #include "server/app/offline/commands.hpp"
 #include "server/app/offline/terminal.hpp"
 #include "server/base/clock.hpp"
+#include "server/base/wording.hpp"
 #include "server/input/hid/hid_system.hpp"
 #include "server/mesh_io/tetgen_process.hpp"
 

@@ -9,6 +9,7 @@
 #include "server/app/offline/feel_plot.hpp"
 #include "server/app/offline/feel_run.hpp"
 #include "server/app/offline/force_rate.hpp"
+#include "server/base/wording.hpp"
 
 namespace incise::app {
 namespace {

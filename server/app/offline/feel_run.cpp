@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <utility>
 
+#include "server/base/wording.hpp"
+
 namespace incise::app {
 namespace {
 

@@ -16,6 +16,7 @@
 #include "server/app/offline/motion_run.hpp"
 #include "server/app/offline/source_names.hpp"
 #include "server/base/hex.hpp"
+#include "server/base/wording.hpp"
 #include "server/core/mesh/measure.hpp"
 #include "server/input/hid/device_profile.hpp"
 #include "server/loop/checkpoint_file.hpp"

@@ -7,6 +7,7 @@
 #include <stdexcept>
 #include <utility>
 
+#include "server/base/wording.hpp"
 #include "server/core/stroke/jump.hpp"
 
 namespace incise::app {

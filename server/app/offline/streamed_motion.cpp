@@ -12,6 +12,7 @@
 #include "client/cli/usage.hpp"
 #include "protocol/capture.hpp"
 #include "server/app/offline/terminal.hpp"
+#include "server/base/wording.hpp"
 #include "server/replay/recorded_motion.hpp"
 
 namespace incise::app {

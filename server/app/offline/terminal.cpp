@@ -71,27 +71,4 @@ void print_row(std::string_view name, const std::string& value) {
   std::printf("%-22.*s %s\n", static_cast<int>(name.size()), name.data(), value.c_str());
 }
 
-std::string short_number(double number, int digits) {
-  char text[32];
-  std::snprintf(text, sizeof text, "%.*g", digits, number);
-  return text;
-}
-
-std::string short_duration(double us) {
-  char text[32];
-  const bool milli = us >= 999.5, whole = us >= 999.5e3;
-  std::snprintf(text, sizeof text, "%.3g %s",
-                whole   ? us * 1e-6
-                : milli ? us * 1e-3
-                        : us,
-                whole   ? "s"
-                : milli ? "ms"
-                        : "us");
-  return text;
-}
-
-std::string counted(std::uint64_t n, std::string_view one, std::string_view many) {
-  return std::to_string(n) + " " + std::string(n == 1 ? one : many);
-}
-
 }  // namespace incise::app

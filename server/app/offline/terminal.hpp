@@ -2,7 +2,6 @@
 
 #include <chrono>
 #include <condition_variable>
-#include <cstdint>
 #include <cstdio>
 #include <mutex>
 #include <stop_token>
@@ -48,12 +47,5 @@ void print_warnings(const std::vector<std::string>& warnings);
 
 // Rows of names and values, aligned, on stdout.
 void print_row(std::string_view name, const std::string& value);
-
-// A number in few digits: "12.3", "0.00042".
-std::string short_number(double number, int digits = 4);
-// A duration in a suitable unit: "840 us", "13.8 ms", "2.1 s".
-std::string short_duration(double us);
-// "1 pose", "2 poses".
-std::string counted(std::uint64_t n, std::string_view one, std::string_view many);
 
 }  // namespace incise::app
