@@ -90,8 +90,9 @@ bool GridFollower::leave(const Step& step, WorkBudget& budget) {
 // Through the boundary, which is a small part of a large body, instead of through the marked vertices' stars.
 bool GridFollower::follow(const Step& step, WorkBudget& budget) {
   if (step.all) {
-    return step.all->visit_boundary(next_, budget,
-                                    [&](TetId t) { enter_where_left(step, t, mesh_.vertices(t)); });
+    return step.all->visit_boundary(next_, budget, [&](TetId t, const std::array<VertexId, 4>& vertices) {
+      enter_where_left(step, t, vertices);
+    });
   }
   return in_chunks(next_, step.listed.size(), budget, kQuarters, [&](std::size_t i) {
     enter_where_left(step, step.listed[i], mesh_.vertices(step.listed[i]));

@@ -25,7 +25,7 @@ class GridFollower {
     const std::vector<Vec3>& targets;  // by vertex
     // The tetrahedra at these vertices that lie on the boundary, and any others there: those of the list, or all of the boundary's.
     const std::vector<TetId>& listed;
-    const StepTets* all = nullptr;
+    StepTets* all = nullptr;
   };
   // Call begin(), then look_at() for all vertices and their new places, ascending, some at a time, between `low` and `high`, then settle().
   void begin() {

@@ -50,7 +50,10 @@ bool LateVertices::is_known(const VertexPositions& positions, VertexId v) const 
 }
 
 const Vec3* LateVertices::wanted_place(const VertexPositions& positions, VertexId v) const {
-  if (!is_known(positions, v)) return nullptr;
+  return is_known(positions, v) ? given_place(positions, v) : nullptr;
+}
+
+const Vec3* LateVertices::given_place(const VertexPositions& positions, VertexId v) const {
   std::size_t at = 0;
   if (positions.ids.empty()) {
     if (v < positions.first) return nullptr;
@@ -74,6 +77,9 @@ void LateVertices::begin(const VertexPositions& positions, std::span<const Verte
   placed_.clear();
   places_.assign(clinging.begin(), clinging.end());
   place_at_.resize(mesh_.vertex_slots(), 0);
+  rings_.clear();
+  ring_vertices_.clear();
+  ring_at_.resize(mesh_.vertex_slots(), 0);
   // After hours.
   if (serial_ > kLastSerial) {
     met_.assign(met_.size(), 0);
@@ -146,24 +152,43 @@ void LateVertices::place(VertexId v, WorkBudget& budget) {
 
 // Takes in the neighbours of what is around, and how those go that are known: from their places at rest, so that no step leaves an error to the next one.
 void LateVertices::look_farther(WorkBudget& budget) {
+  const std::size_t inner = around_.size();
+  // Before the marks of this look, since a ring that is made needs its own.
+  for (std::size_t i = 0; i < inner; ++i) ring_of(around_[i], budget);
   ++serial_;
   for (const VertexId w : around_) met_[w] = serial_;
-  const std::size_t inner = around_.size();
   std::size_t looked_at = 0;
   for (std::size_t i = 0; i < inner; ++i) {
-    mesh_.star(around_[i], star_);
-    looked_at += 4 * star_.size();
-    // Each once: of a star's corners most are the same few vertices.
-    for (const std::uint32_t corner : star_) {
-      for (const VertexId w : mesh_.vertices(tet_of(corner))) {
-        if (std::exchange(met_[w], serial_) != serial_) around_.push_back(w);
-      }
+    const std::span<const VertexId> ring = ring_of(around_[i], budget);
+    looked_at += ring.size();
+    for (const VertexId w : ring) {
+      if (std::exchange(met_[w], serial_) != serial_) around_.push_back(w);
     }
   }
   budget.charge(kPlaceCost + static_cast<std::int64_t>(looked_at) / kVerticesAUnit);
   std::sort(around_.begin(), around_.end());
   begin_fit();
   for (const VertexId w : around_) add_to_fit(w);
+}
+
+// Until the next one is asked for.
+std::span<const VertexId> LateVertices::ring_of(VertexId v, WorkBudget& budget) {
+  if (ring_at_[v] >= rings_.size() || rings_[ring_at_[v]].vertex != v) {
+    ring_at_[v] = static_cast<std::uint32_t>(rings_.size());
+    rings_.push_back({v, static_cast<std::uint32_t>(ring_vertices_.size())});
+    met_[v] = ++serial_;
+    ring_vertices_.push_back(v);
+    mesh_.star(v, star_);
+    budget.charge(static_cast<std::int64_t>(star_.size()));
+    for (const std::uint32_t corner : star_) {
+      for (const VertexId w : mesh_.vertices(tet_of(corner))) {
+        if (std::exchange(met_[w], serial_) != serial_) ring_vertices_.push_back(w);
+      }
+    }
+  }
+  const std::size_t at = ring_at_[v], first = rings_[at].first;
+  const std::size_t stop = at + 1 < rings_.size() ? rings_[at + 1].first : ring_vertices_.size();
+  return std::span(ring_vertices_).subspan(first, stop - first);
 }
 
 void LateVertices::begin_fit() {
@@ -183,8 +208,8 @@ void LateVertices::add_to_fit(VertexId w) {
 const Vec3* LateVertices::place_of(VertexId v) const {
   if (has_place(v)) return &places_[place_at_[v]].place;
   if (!is_known(*positions_, v)) return nullptr;
-  const Vec3* const wanted = wanted_place(*positions_, v);
-  return wanted != nullptr ? wanted : &mesh_.position(v);
+  const Vec3* const given = given_place(*positions_, v);
+  return given != nullptr ? given : &mesh_.position(v);
 }
 
 void LateVertices::note_places(std::size_t first) {
@@ -203,14 +228,13 @@ void LateVertices::begin_spreading() {
 }
 
 void LateVertices::ask_around(VertexId v, WorkBudget& budget) {
-  mesh_.star(v, star_);
-  budget.charge(static_cast<std::int64_t>(star_.size()) / kVerticesAUnit);
-  for (const std::uint32_t corner : star_) {
-    for (const VertexId w : mesh_.vertices(tet_of(corner))) {
-      if (!is_late(w) || met_[w] == serial_ || has_place(w)) continue;
-      met_[w] = serial_;
-      front_.push_back(w);
-    }
+  // It has been placed, so its ring is there, and asking for it leaves the marks alone.
+  const std::span<const VertexId> ring = ring_of(v, budget);
+  budget.charge(static_cast<std::int64_t>(ring.size()) / kVerticesAUnit);
+  for (const VertexId w : ring) {
+    if (!is_late(w) || met_[w] == serial_ || has_place(w)) continue;
+    met_[w] = serial_;
+    front_.push_back(w);
   }
 }
 

@@ -73,6 +73,9 @@ class LateVertices {
   bool has_place(VertexId v) const {
     return place_at_[v] < places_.size() && places_[place_at_[v]].vertex == v;
   }
+  // What these positions say of a vertex that is known; null: nothing.
+  const Vec3* given_place(const VertexPositions& positions, VertexId v) const;
+  std::span<const VertexId> ring_of(VertexId v, WorkBudget& budget);
   // Where a vertex goes; null: not known so far.
   const Vec3* place_of(VertexId v) const;
 
@@ -91,6 +94,15 @@ class LateVertices {
   std::vector<std::uint32_t> place_at_;  // by vertex: where it is in places_, if it is
   std::vector<std::uint32_t> met_;       // by vertex: the look or the spreading that met it last
   std::uint32_t serial_ = 0;             // of that, ever
+  // The vertices of the tetrahedra at one, itself first: of those that this step has asked for. Late vertices lie beside each other, so most
+  // are asked for many times.
+  struct Ring {
+    VertexId vertex;
+    std::uint32_t first;  // in ring_vertices_; the next ring's are behind them
+  };
+  std::vector<Ring> rings_;
+  std::vector<VertexId> ring_vertices_;
+  std::vector<std::uint32_t> ring_at_;  // by vertex: where it is in rings_, if it is
   std::vector<Corner> star_;
   std::vector<VertexId> around_;
   std::vector<Vec3> from_, to_;

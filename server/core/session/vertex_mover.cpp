@@ -411,12 +411,14 @@ bool VertexMover::flattens(const std::array<VertexId, 4>& v) const {
   const Vec3 &a = target_[v[0]], &b = target_[v[1]], &c = target_[v[2]], &d = target_[v[3]];
   const double then = six_volumes(a, b, c, d);
   if (then >= surely_thick_) return false;
+  const bool is_valid = orient3d(a, b, c, d) > 0;
+  // Small ones beside cuts are not flat by being small, and where vertices lie close the limit is only lower. Most end here, before
+  // anything else of the mesh is fetched.
+  const double longest_m = std::sqrt(squared_longest_edge(a, b, c, d));
+  if (is_valid && then >= kThinnest * longest_m * longest_m * longest_m) return false;
   const double now =
       six_volumes(mesh_.position(v[0]), mesh_.position(v[1]), mesh_.position(v[2]), mesh_.position(v[3]));
-  const bool is_valid = orient3d(a, b, c, d) > 0;
   if (then >= now && is_valid) return false;
-  // Small ones beside cuts are not flat by being small. The local length takes a walk around the vertex.
-  const double longest_m = std::sqrt(squared_longest_edge(a, b, c, d));
   const double h = std::min(longest_m, mesh_.local_h(v[0])), flat = kThinnest * h * h * h;
   if (then >= flat && is_valid) return false;
   if (now < flat && (!stays_valid_ || (then >= (1 - kLoses) * now && is_valid))) return false;

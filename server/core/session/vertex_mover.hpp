@@ -117,7 +117,7 @@ class VertexMover {
   std::uint64_t hash_of_move(std::span<const VertexId> vertices, std::span<const Vec3> to) const;
   bool leave_out_of_hash(WorkBudget& budget);
   bool wanted(VertexId v) const { return wanted_[v] == serial_; }
-  GridFollower::Step grid_step() const {
+  GridFollower::Step grid_step() {
     return {moved_, target_.by_vertex(), boundary_, all_tets_ ? &tets_ : nullptr};
   }
 

@@ -49,23 +49,31 @@ class RigidMotion::Fit {
   Vec3 from(std::size_t i) const { return from_[i] - motion_.from_middle_; }
   Vec3 to(std::size_t i) const { return to_[i] - motion_.to_middle_; }
 
+  // The first of those that this takes farthest.
+  template <class Place>
+  std::size_t farthest(Place place) const {
+    std::size_t most = 0;
+    double most_m2 = squared_length(place(0));
+    for (std::size_t i = 1; i < from_.size(); ++i) {
+      const double m2 = squared_length(place(i));
+      if (!(m2 > most_m2)) continue;
+      most = i;
+      most_m2 = m2;
+    }
+    return most;
+  }
+
   // By any angle: the turn that takes the farthest point's direction along, and then the one around it that takes along the plane of the point that is
   // farthest beside it. A body that is laid on its other side in one step turns by more than steps of small turns find.
   void turn_roughly() {
-    std::size_t far = 0;
-    for (std::size_t i = 1; i < from_.size(); ++i) {
-      if (squared_length(from(i)) > squared_length(from(far))) far = i;
-    }
+    const std::size_t far = farthest([this](std::size_t i) { return from(i); });
     const double far_m = length(from(far));
     if (far_m == 0 || squared_length(to(far)) == 0) return;
     const Vec3 axis = normalized(to(far));
     motion_.rotation_ = turn_between(normalized(from(far)), axis);
     const auto beside = [&](const Vec3& p) { return p - dot(p, axis) * axis; };
     const auto turned_beside = [&](std::size_t i) { return beside(motion_.turn(from(i))); };
-    std::size_t side = 0;
-    for (std::size_t i = 1; i < from_.size(); ++i) {
-      if (squared_length(turned_beside(i)) > squared_length(turned_beside(side))) side = i;
-    }
+    const std::size_t side = farthest(turned_beside);
     const Vec3 before = turned_beside(side), after = beside(to(side));
     if (std::min(length(before), length(after)) <= kInLine * far_m) return;
     motion_.rotation_ = product(turn_between(normalized(before), normalized(after), axis), motion_.rotation_);

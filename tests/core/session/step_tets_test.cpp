@@ -48,8 +48,11 @@ TEST(StepTets, FollowCuts) {
       if (mesh.on_boundary(t)) boundary.push_back(t);
     }
     std::size_t next = 0;
-    for (WorkBudget budget{3}; !tets.visit_boundary(next, budget, [&](TetId t) { seen.push_back(t); });
-         budget = {3}) {
+    const auto see = [&](TetId t, const std::array<VertexId, 4>& vertices) {
+      seen.push_back(t);
+      EXPECT_EQ(vertices, mesh.vertices(t)) << t;
+    };
+    for (WorkBudget budget{3}; !tets.visit_boundary(next, budget, see); budget = {3}) {
     }
     ASSERT_EQ(seen, boundary) << i;
   }
