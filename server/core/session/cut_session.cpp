@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <string>
+#include <utility>
 
 #include "server/base/check.hpp"
 #include "server/core/cut/conforming/conforming_cutter.hpp"
@@ -141,8 +142,12 @@ void CutSession::find_clinging(bool may_follow) {
     vertices.clear();
     if (!sources_[number]) continue;
     sources_[number]->cutter->clinging(vertices);
+    // Each once before they are sorted: most are there many times, and this can not be interrupted.
+    const std::uint32_t serial = workspace_.next_serial();
+    std::erase_if(vertices, [&](VertexId v) {
+      return std::exchange(workspace_.vertices[v].looked_at, serial) == serial;
+    });
     std::ranges::sort(vertices);
-    vertices.erase(std::unique(vertices.begin(), vertices.end()), vertices.end());
   }
   for (std::uint32_t number = 0; number < kMaxSources; ++number) {
     if (!at_blade_[number].empty()) cling(number, queue_.front().ways_m, may_follow);
