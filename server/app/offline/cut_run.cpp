@@ -100,6 +100,22 @@ void set_blade(const core::Blade& blade, Config& config, RecordedMotion& motion)
   for (MotionEvent& event : motion.events) event.blade.reset();
 }
 
+namespace {
+
+// What a server would not have cut with these poses. Empty: nothing.
+std::string released_warning(const std::string& name, const RecordedMotion& motion, const Config& config) {
+  if (!motion.has_buttons || config.cut.always_engaged) return {};
+  const auto released = std::ranges::count_if(motion.events, [&config](const MotionEvent& event) {
+    return event.kind == MotionEvent::Kind::kPose && (event.pose.buttons & config.cut.engage_buttons) == 0;
+  });
+  if (released == 0) return {};
+  return name + ": " + std::to_string(released) + " of " + counted(motion.poses(), "pose does", "poses do") +
+         " not hold the button that engages the blade, and cut as well: here it is engaged throughout; "
+         "`incise convert --config` cuts as a server does";
+}
+
+}  // namespace
+
 CutInput cut_input(std::string mesh_name, std::string poses_name, RecordedMotion motion, Config config,
                    std::shared_ptr<const mesh_io::LoadedMesh> loaded, Engage engage) {
   CutInput in{std::move(mesh_name),
@@ -110,9 +126,13 @@ CutInput cut_input(std::string mesh_name, std::string poses_name, RecordedMotion
               {},
               {},
               {}};
-  if (engage == Engage::kAlways) in.config.cut.always_engaged = true;
-  hold_button(in.motion, in.config);
   in.warnings = in.motion.warnings;
+  if (engage == Engage::kAlways) {
+    if (std::string warning = released_warning(in.poses_name, in.motion, in.config); !warning.empty())
+      in.warnings.push_back(std::move(warning));
+    in.config.cut.always_engaged = true;
+  }
+  hold_button(in.motion, in.config);
   in.warnings.insert(in.warnings.end(), in.loaded->warnings.begin(), in.loaded->warnings.end());
   in.body = box_of(in.loaded->mesh);
   check_blade(in.config, in.motion, in.body.diagonal());

@@ -28,8 +28,9 @@ constexpr const char* kBladeHelp =
 
 void add_cut(CLI::App& app, int& exit_code) {
   auto command = std::make_shared<CutCommand>();
-  CLI::App* sub = app.add_subcommand(
-      "cut", "Cut a mesh by a recorded motion, without a server; exits with 3 if nothing was cut");
+  CLI::App* sub = app.add_subcommand("cut",
+                                     "Cut a mesh by a recorded motion, without a server, the blade engaged "
+                                     "throughout; exits with 3 if nothing was cut");
   sub->add_option("--mesh", command->mesh,
                   "A mesh of tetrahedra, or a closed surface to fill; TetGen by its common name")
       ->required();

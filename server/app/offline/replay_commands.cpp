@@ -20,6 +20,7 @@
 #include "server/app/version.hpp"
 #include "server/base/hex.hpp"
 #include "server/base/unfinished_file.hpp"
+#include "server/base/wording.hpp"
 #include "server/core/session/cut_session.hpp"
 
 namespace incise::app {
@@ -159,6 +160,10 @@ int run_replay(const ReplayCommand& command) {
   std::vector<std::string> warnings = motion.warnings;
   if (nothing_compared)
     warnings.push_back(command.capture.string() + ": has no batch marks; nothing was compared");
+  else if (command.verify && found.compared < session.revision())
+    warnings.push_back(command.capture.string() + ": " +
+                       counted(session.revision() - found.compared, "batch has", "batches have") +
+                       " no mark, since records are missing; what it cut was not compared");
   result["warnings"] = warnings;
   print_warnings(warnings);
   if (command.json) {
