@@ -163,7 +163,7 @@ int run_replay(const ReplayCommand& command) {
   else if (command.verify && found.compared < session.revision())
     warnings.push_back(command.capture.string() + ": " +
                        counted(session.revision() - found.compared, "batch has", "batches have") +
-                       " no mark, since records are missing; what it cut was not compared");
+                       " no mark to compare with, since records are missing");
   result["warnings"] = warnings;
   print_warnings(warnings);
   if (command.json) {
