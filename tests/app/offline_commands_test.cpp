@@ -150,7 +150,7 @@ TEST_F(Incise, AMistakeOnTheCommandLineNamesItAndTheHelp) {
   expect_error(run({"cot"}), 2, {"cot", "incise --help"});
   expect_error(run({"cut"}), 2, {"--mesh is required", "incise cut --help"});
   expect_error(run({"cut", "--mesh"}), 2, {"--mesh"});
-  expect_error(run({"stream", "a.csv", "--to", "127.0.0.1:1", "--source", std::string(300, 'n').c_str()}), 2,
+  expect_error(run({"stream", "a.csv", "--to", "127.0.0.1:1", "--source", std::string(300, 'n')}), 2,
                {"--source: found a name of 300 bytes; accepted is one of at most 256"});
   expect_error(run({"cut", "--mesh", "a", "--poses", "b", "--out", "c.vtu", "--policy", "sharp"}), 2,
                {"--policy", "sharp"});
