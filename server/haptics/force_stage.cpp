@@ -37,7 +37,8 @@ void ForceStage::posed(std::uint32_t source, const core::Pose& pose, std::int64_
   const bool same = hand.has_pose && pose.position == hand.pose.position &&
                     pose.orientation == hand.pose.orientation && pose.buttons == hand.pose.buttons;
   if (!same) hand.moved_ns = arrival_ns;
-  hand.pressed_again = hand.pressed_again || (hand.has_pose && !engaged(hand.pose) && engaged(pose));
+  hand.pressed_again =
+      hand.pressed_again || (hand.has_pose && !cut_.engages(hand.pose.buttons) && cut_.engages(pose.buttons));
   // The rule for strokes, applied to blades that do not cut, too.
   hand.jumped = hand.jumped || jumped || (hand.has_pose && is_jump(cut_, hand.blade, hand.pose, pose));
   hand.pose = pose;
@@ -110,7 +111,7 @@ void ForceStage::tell_simulation(Hand& hand, const BladeForce& force, std::int64
   if (force.feel.engagement.length_m > 0)
     load.contact = force.feel.contact && !force.feel.contact->penetrated ? ContactState::kPresses
                                                                          : ContactState::kInside;
-  load.engaged = engaged(hand.pose);
+  load.engaged = cut_.engages(hand.pose.buttons);
   load.line = core::blade_line(hand.blade, hand.pose);
   load.tool = hand.pose.position;
   load.force = force.newtons;
@@ -131,7 +132,7 @@ BladeForce ForceStage::feel(std::uint32_t source, Hand& hand, std::int64_t now_n
   BladeMotion motion;
   motion.line = core::blade_line(hand.blade, hand.pose);
   motion.tool = hand.pose.position;
-  motion.engaged = engaged(hand.pose);
+  motion.engaged = cut_.engages(hand.pose.buttons);
   motion.orientation = hand.pose.orientation;
   motion.ramping = hand.chain.ramping() && !hand.chain.latched();
   // Work is done only by what a device makes.

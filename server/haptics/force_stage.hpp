@@ -52,7 +52,7 @@ class ForceStage {
   void posed(std::uint32_t source, const core::Pose& pose, std::int64_t arrival_ns, bool jumped) noexcept;
   // Whether the tissue holds this blade's edge back, though it is engaged (ForceConfig::resists): by the forces of the last frame.
   bool holds_back(std::uint32_t source, const core::Pose& pose) const noexcept {
-    return config_.resists && engaged(pose) && !hands_[source]->yielded;
+    return config_.resists && cut_.engages(pose.buttons) && !hands_[source]->yielded;
   }
   // Adds the cuts of a delta, which `mesh` has already. O(delta's boundary).
   void cut(const core::TetMesh& mesh, const core::Delta& delta) noexcept;
@@ -98,9 +98,6 @@ class ForceStage {
     std::uint64_t loads = 0;     // told to the simulation
     bool loaded = false;         // the last of them was not nothing
   };
-  bool engaged(const core::Pose& pose) const noexcept {
-    return cut_.always_engaged || (pose.buttons & cut_.engage_buttons) != 0;
-  }
   void tell_simulation(Hand& hand, const BladeForce& force, std::int64_t now_ns) noexcept;
   BladeForce feel(std::uint32_t source, Hand& hand, std::int64_t now_ns, std::int64_t late_ns) noexcept;
 

@@ -87,6 +87,18 @@ Json report_of(const CutInput& in, const Config& config, const core::TetMesh& me
   return report;
 }
 
+// What a server would not have cut with these poses. Empty: nothing.
+std::string released_warning(const std::string& name, const RecordedMotion& motion, const Config& config) {
+  if (!motion.has_buttons) return {};
+  const auto released = std::ranges::count_if(motion.events, [&config](const MotionEvent& event) {
+    return event.kind == MotionEvent::Kind::kPose && !config.cut.engages(event.pose.buttons);
+  });
+  if (released == 0) return {};
+  return name + ": " + std::to_string(released) + " of " + counted(motion.poses(), "pose does", "poses do") +
+         " not hold the button that engages the blade, and cut as well: here it is engaged throughout; "
+         "`incise convert --config` cuts as a server does";
+}
+
 }  // namespace
 
 const char* name_of(core::Preference prefer) {
@@ -99,22 +111,6 @@ void set_blade(const core::Blade& blade, Config& config, RecordedMotion& motion)
   config.sources.clear();
   for (MotionEvent& event : motion.events) event.blade.reset();
 }
-
-namespace {
-
-// What a server would not have cut with these poses. Empty: nothing.
-std::string released_warning(const std::string& name, const RecordedMotion& motion, const Config& config) {
-  if (!motion.has_buttons || config.cut.always_engaged) return {};
-  const auto released = std::ranges::count_if(motion.events, [&config](const MotionEvent& event) {
-    return event.kind == MotionEvent::Kind::kPose && (event.pose.buttons & config.cut.engage_buttons) == 0;
-  });
-  if (released == 0) return {};
-  return name + ": " + std::to_string(released) + " of " + counted(motion.poses(), "pose does", "poses do") +
-         " not hold the button that engages the blade, and cut as well: here it is engaged throughout; "
-         "`incise convert --config` cuts as a server does";
-}
-
-}  // namespace
 
 CutInput cut_input(std::string mesh_name, std::string poses_name, RecordedMotion motion, Config config,
                    std::shared_ptr<const mesh_io::LoadedMesh> loaded, Engage engage) {

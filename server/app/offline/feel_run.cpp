@@ -87,7 +87,7 @@ void FeelRun::handle(const MotionEvent& event, core::PoseVerdict verdict) {
   felt.time_ns = now_ns_;
   felt.pose_t_ns = event.pose.t_ns;
   felt.position = event.pose.position;
-  felt.engaged = cut.always_engaged || (event.pose.buttons & cut.engage_buttons) != 0;
+  felt.engaged = cut.engages(event.pose.buttons);
   if (current_force_) {
     const haptics::BladeForce& force = *current_force_;
     const auto& contact = force.feel.contact;

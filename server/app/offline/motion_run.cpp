@@ -35,10 +35,6 @@ double middle(std::vector<double> values) {
   return *at;
 }
 
-bool engaged(const core::CutConfig& cut, const core::Pose& pose) {
-  return cut.always_engaged || (pose.buttons & cut.engage_buttons) != 0;
-}
-
 struct Steps {
   std::vector<double> gaps_s, speeds_m_s;  // of all steps; of those with motion
 };
@@ -50,7 +46,7 @@ Steps steps_of(const Config& config, const RecordedMotion& motion) {
   for (const MotionEvent& event : motion.events) {
     if (event.kind != MotionEvent::Kind::kPose) continue;
     const core::Pose* previous = std::exchange(last[event.source], &event.pose);
-    if (!previous || event.pose.t_ns <= previous->t_ns || !engaged(config.cut, *previous)) continue;
+    if (!previous || event.pose.t_ns <= previous->t_ns || !config.cut.engages(previous->buttons)) continue;
     const core::Blade& blade = blade_of(config, event.source);
     const double way_m = travel(core::blade_line(blade, *previous), core::blade_line(blade, event.pose));
     steps.gaps_s.push_back(static_cast<double>(core::elapsed_ns(*previous, event.pose)) * 1e-9);
@@ -211,7 +207,7 @@ void MotionRun::handle(const MotionEvent& event, const Options& options) {
     if (options.holds_back && options.holds_back(event)) pose.buttons &= ~config_.cut.engage_buttons;
     verdict = session_.push(event.source, pose);
     ++verdicts_[static_cast<std::size_t>(verdict)];
-    engaged_ = engaged_ || engaged(config_.cut, event.pose);
+    engaged_ = engaged_ || config_.cut.engages(event.pose.buttons);
     tool_.add(event.pose.position);
   } else {
     apply(session_, event, config_);

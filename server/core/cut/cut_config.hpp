@@ -27,6 +27,9 @@ struct CutConfig {
   Blade blade;
   bool always_engaged = false;       // true: the blade cuts whatever the buttons say
   std::uint32_t engage_buttons = 1;  // else it cuts while any of these buttons is held
+  bool engages(std::uint32_t buttons) const noexcept {
+    return always_engaged || (buttons & engage_buttons) != 0;
+  }
   double speed_limit_m_s = 2.0;     // a faster motion of heel or tip ends the stroke: it is a jump, not a cut
   double gap_limit_s = 0.25;        // so does a longer silence of the source
   double batch_h = 0.25;            // travel of the blade after which its segments are committed

@@ -89,7 +89,7 @@ PoseVerdict StrokeBuilder::push(Pose pose, BatchQueue& out, std::uint64_t step) 
   if (has_pose_ && pose.t_ns <= last_pose_.t_ns) return PoseVerdict::kTimeNotIncreasing;
   pose.orientation = {q.w / norm, q.x / norm, q.y / norm, q.z / norm};
 
-  const bool engaged = config_.always_engaged || (pose.buttons & config_.engage_buttons) != 0;
+  const bool engaged = config_.engages(pose.buttons);
   const TimedLine now{blade_line(config_.blade, pose), pose.t_ns, step};
   PoseVerdict verdict = PoseVerdict::kAccepted;
   if (in_stroke_ && is_jump(config_, config_.blade, last_pose_, pose)) {
