@@ -49,9 +49,12 @@ class SweptMemory {
         least_m2 = std::min(least_m2, squared_length(closest_point(p, a, b, c) - p));
       return least_m2;
     }
-    // Part k of a rim, from the one line to the other.
+    // A rim, from the one line to the other; part k of it.
+    std::array<Vec3, 2> rim(End end) const {
+      return end == kTip ? std::array{from.tip, to.tip} : std::array{from.heel, to.heel};
+    }
     std::array<Vec3, 2> part(End end, std::uint32_t k) const {
-      const Vec3 &a = end == kTip ? from.tip : from.heel, &b = end == kTip ? to.tip : to.heel;
+      const auto [a, b] = rim(end);
       const double parts = rims[end].parts;
       return {lerp(a, b, k / parts), lerp(a, b, (k + 1) / parts)};
     }

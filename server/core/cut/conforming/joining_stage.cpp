@@ -14,6 +14,9 @@ namespace {
 // Where no wall is within reach: how far ahead it is.
 constexpr double kNoWall = -std::numeric_limits<double>::infinity();
 
+// What is farther than this many reaches is so however it is rounded.
+constexpr double kSurelyReach = 1 + 1e-9;
+
 // SweepEnd::travel_m of one that its own stroke passes over.
 constexpr double kNeverOwn_m = std::numeric_limits<double>::infinity();
 
@@ -55,8 +58,6 @@ void JoiningStage::begin(const Batch& batch) {
   own_rims_ = 0;
   low_ = {INFINITY, INFINITY, INFINITY};
   high_ = -low_;
-  first_line_ = batch.lines.front();
-  farthest_m_ = 0;
   for (std::size_t i = 0; i + 1 < batch.lines.size(); ++i) {
     const BladeLine &from = batch.lines[i], &to = batch.lines[i + 1];
     const Vec3 direction = direction_of(from, to);
@@ -75,9 +76,6 @@ void JoiningStage::begin(const Batch& batch) {
       swept_.push_back({from.heel, from.tip, to.tip});
       swept_.push_back({from.heel, to.tip, to.heel});
       for (const Vec3& p : {from.heel, from.tip, to.heel, to.tip}) core::extend(p, low_, high_);
-      for (const BladeLine& line : {from, to})
-        farthest_m_ = std::max(
-            {farthest_m_, distance(line.heel, first_line_.heel), distance(line.tip, first_line_.tip)});
     }
     direction_ = direction;
   }
@@ -86,17 +84,44 @@ void JoiningStage::begin(const Batch& batch) {
     end_strip(batch.lines.back());
   }
   list_rims(batch);
+  enclose_swept();
+}
+
+void JoiningStage::enclose_swept() {
+  if (swept_.empty()) return;
+  Vec3 across{};
+  for (const Triangle& t : swept_) {
+    const Vec3 n = cross(t.b - t.a, t.c - t.a);
+    // A blade that goes back and forth turns it over.
+    across += dot(n, across) < 0 ? -n : n;
+  }
+  const Triangle& first = swept_.front();
+  const Vec3 normal = normalized(across), along = normalized(first.b - first.a);
+  around_.axes = {normal, along, normalized(cross(normal, along))};
+  for (std::size_t i = 0; i < 3; ++i) {
+    double low = std::numeric_limits<double>::infinity(), high = -low;
+    for (const Triangle& t : swept_) {
+      for (const Vec3& p : {t.a, t.b, t.c}) {
+        const double at = dot(around_.axes[i], p);
+        low = std::min(low, at);
+        high = std::max(high, at);
+      }
+    }
+    around_.low[i] = low - cut_.clear_m;
+    around_.high[i] = high + cut_.clear_m;
+  }
 }
 
 bool JoiningStage::advance(WorkBudget& budget) {
   for (; next_end_ < cut_.workspace.ends.size(); ++next_end_, next_end_part_ = 0) {
     SweepEnd& end = cut_.workspace.ends[next_end_];
     if (!comes_near(end)) continue;
+    if (next_end_part_ == 0) end_strip_m_ = strip_m(end);
     for (; next_end_part_ < end.part_count; ++next_end_part_) {
       cut_.work.charge(budget);
       if (budget.spent()) return false;
       cut_.work += cost::kLook;
-      if (!(end.taken >> next_end_part_ & 1)) take_up(end, next_end_part_);
+      if (!(end.taken >> next_end_part_ & 1) && comes_near(end, next_end_part_)) take_up(end, next_end_part_);
     }
   }
   if (!take_up_rims(budget)) return false;
@@ -280,6 +305,21 @@ bool JoiningStage::is_in_reach(const Vec3& low, const Vec3& high) const {
          high.y + reach >= low_.y && low.z - reach <= high_.z && high.z + reach >= low_.z;
 }
 
+// How far the strip goes from where the sweep ended, at most.
+double JoiningStage::strip_m(const SweepEnd& end) {
+  double most_m = 0;
+  for (std::size_t k = 1; k < end.line_count; ++k)
+    most_m = std::max({most_m, distance(end.lines[k].heel, end.lines[0].heel),
+                       distance(end.lines[k].tip, end.lines[0].tip)});
+  return most_m;
+}
+
+// Whether what is swept now may come near that part of it: few do of those of a long blade.
+bool JoiningStage::comes_near(const SweepEnd& end, std::uint32_t part) const {
+  const Vec3 a = end.at(0, part), b = end.at(0, part + 1);
+  return around_.is_within(kJoinReach_h * cut_.h + end_strip_m_ + 0.5 * distance(a, b), lerp(a, b, 0.5));
+}
+
 void JoiningStage::take_up(SweepEnd& end, std::uint32_t part) {
   const Vec3 a = end.at(0, part), b = end.at(0, part + 1);
   const Vec3 direction = direction_of(end.lines[1], end.lines[0]);
@@ -316,6 +356,8 @@ bool JoiningStage::take_up_rims(WorkBudget& budget) {
     const double after_m = cut_.path.travel_m() - quad.travel_m - travel(quad.from, quad.to);
     if (is_own && (after_m < kOwnSweep_h * cut_.h || own_rims_ >= kMostOwnRims)) continue;
     for (auto end : {SweptMemory::kHeel, SweptMemory::kTip}) {
+      const auto [a, b] = quad.rim(end);
+      if (!Box::around({a, b}).meets(in_reach)) continue;
       for (std::uint64_t free = quad.rims[end].free; free != 0; free &= free - 1) {
         const auto part = static_cast<std::uint32_t>(std::countr_zero(free));
         cut_.work += cost::kLook;
@@ -401,10 +443,7 @@ bool JoiningStage::is_open(const Vec3& p) {
 // Whether what is swept now comes near p, and how far ahead that is, at most.
 bool JoiningStage::sweep_ahead(const Vec3& p, const Vec3& direction, double& ahead_m) const {
   const double reach = kJoinReach_h * cut_.h;
-  if (!is_in_reach(p, p)) return false;
-  // All that is swept lies near the line where it begins, and most ends of sweeps do not.
-  const double far = reach + farthest_m_ + cut_.clear_m;
-  if (squared_distance_to_segment(p, first_line_.heel, first_line_.tip) > far * far) return false;
+  if (!around_.is_within(reach, p)) return false;
   bool near = false;
   for (const Triangle& t : swept_) {
     cut_.work += cost::kLook;
@@ -474,15 +513,14 @@ void JoiningStage::list_rims(const Batch& batch) {
 void JoiningStage::gather_walls() {
   walls_.clear();
   const Part& first = parts_[next_];
-  const double reach = kJoinReach_h * cut_.h;
-  const Vec3 r{reach, reach, reach};
-  Vec3 low = first.from, high = first.from;
+  Box in_reach = Box::around({first.from});
   for (walls_end_ = next_; walls_end_ < parts_.size() && walls_end_ < next_ + kJoinBlock; ++walls_end_) {
     if (walls_end_ > next_ && !parts_[walls_end_ - 1].precedes(parts_[walls_end_])) break;
-    core::extend(parts_[walls_end_].to, low, high);
+    in_reach.add(Box::around({parts_[walls_end_].to}));
   }
+  in_reach = in_reach.widened(kSurelyReach * kJoinReach_h * cut_.h);
   gathered_.begin();
-  cut_.workspace.grid.visit_box(low - r, high + r, [&](TetId t) {
+  cut_.workspace.grid.visit_box(in_reach.low, in_reach.high, [&](TetId t) {
     if (!gathered_.insert(t)) return;
     cut_.work += cost::kLook;
     if (!mesh_.alive(t)) return;
@@ -490,19 +528,12 @@ void JoiningStage::gather_walls() {
     for (int f = 0; f < 4; ++f) {
       if (!(mask >> f & 1)) continue;
       const auto v = mesh_.face_vertices(half_face(t, f));
-      Wall wall{{mesh_.position(v[0]), mesh_.position(v[1]), mesh_.position(v[2])},
-                {},
-                {},
-                {},
-                0,
-                (mesh_.cut_mask(t) >> f & 1) != 0};
-      const auto& [a, b, c] = wall.corners;
-      wall.low = wall.high = a;
-      core::extend(b, wall.low, wall.high);
-      core::extend(c, wall.low, wall.high);
-      if (!wall.is_within(reach, low, high)) continue;
-      wall.normal = mesh_.twice_area(half_face(t, f));
-      wall.facing = std::abs(dot(wall.normal, first.direction)) / length(wall.normal);
+      const Vec3 &a = mesh_.position(v[0]), &b = mesh_.position(v[1]), &c = mesh_.position(v[2]);
+      const Box box = Box::around({a, b, c});
+      if (!box.meets(in_reach)) continue;
+      const Vec3 normal = mesh_.twice_area(half_face(t, f));
+      const double facing = std::abs(dot(normal, first.direction)) / length(normal);
+      const Wall wall{{a, b, c}, box, normal, facing, (mesh_.cut_mask(t) >> f & 1) != 0};
       if (is_ahead(wall, first)) walls_.push_back(wall);
     }
   });
@@ -523,11 +554,12 @@ bool JoiningStage::is_ahead(const Wall& wall, const Part& part) const {
 // behind the blade.
 double JoiningStage::wall_ahead(const Vec3& p, const Vec3& direction, Of of) const {
   const double reach = kJoinReach_h * cut_.h;
+  const Box in_reach = Box::around({p}).widened(kSurelyReach * reach);
   double ahead = kNoWall;
   cut_.work.add(walls_.size(), cost::kWallsAUnit);
   for (const Wall& wall : walls_) {
     if (of != Of::kAll && wall.is_cut != (of == Of::kCuts)) continue;
-    if (!wall.is_within(reach, p, p)) continue;
+    if (!wall.box.meets(in_reach)) continue;
     const auto& [a, b, c] = wall.corners;
     const Vec3 q = closest_point(p, a, b, c);
     const double d = dot(q - p, direction);

@@ -42,19 +42,27 @@ class JoiningStage {
   // A face of an older cut or of the boundary, in front of a blade that moves on.
   struct Wall {
     std::array<Vec3, 3> corners;
-    Vec3 low, high;  // bounding box
-    Vec3 normal;     // twice its area long
-    double facing;   // how far the direction is off its plane: the sine
+    Box box;
+    Vec3 normal;    // twice its area long
+    double facing;  // how far the direction is off its plane: the sine
     bool is_cut;
-    // Not surely farther than `reach` from all of a box.
-    bool is_within(double reach, const Vec3& from, const Vec3& to) const {
-      const double r = (1 + 1e-9) * reach;
-      return low.x <= to.x + r && low.y <= to.y + r && low.z <= to.z + r && high.x >= from.x - r &&
-             high.y >= from.y - r && high.z >= from.z - r;
-    }
   };
   struct Triangle {
     Vec3 a, b, c;
+  };
+  // A box that lies along what the batch has swept: across it, along the blade, along its motion. A blade is long and lies along no axis, and most of what is
+  // in an upright box around it is nowhere near.
+  struct Around {
+    std::array<Vec3, 3> axes{};
+    std::array<double, 3> low{}, high{};
+    // Whether p may be within that reach of it.
+    bool is_within(double reach_m, const Vec3& p) const {
+      for (std::size_t i = 0; i < 3; ++i) {
+        const double at = dot(axes[i], p);
+        if (at + reach_m < low[i] || at - reach_m > high[i]) return false;
+      }
+      return true;
+    }
   };
   // A part of a line with a wall ahead, so far away.
   struct Walled {
@@ -71,8 +79,11 @@ class JoiningStage {
   void keep(std::span<const BladeLine> lines, double travel_m);
   bool turns_back(const BladeLine& line, const Vec3& direction) const;
   void keep_turn(const BladeLine& line);
+  void enclose_swept();
   bool comes_near(const SweepEnd& end) const;
   bool is_in_reach(const Vec3& low, const Vec3& high) const;
+  static double strip_m(const SweepEnd& end);
+  bool comes_near(const SweepEnd& end, std::uint32_t part) const;
   void take_up(SweepEnd& end, std::uint32_t part);
   bool take_up_rims(WorkBudget& budget);
   bool take_up(const SweptMemory::Quad& quad, SweptMemory::End end, std::uint32_t part);
@@ -100,14 +111,14 @@ class JoiningStage {
   std::vector<Part> parts_;
   double ahead_at_end_m_ = 0;    // wall_ahead() at the end of the last part
   std::vector<Triangle> swept_;  // by the batch
-  Vec3 low_, high_;              // a box around it
+  Vec3 low_, high_;              // an upright box around it
+  Around around_;
   // Of the last parts, that follow each other.
   std::vector<Walled> walled_;
   std::vector<std::size_t> free_;  // straight ahead of these there is no wall
-  BladeLine first_line_;           // where the batch begins ...
-  double farthest_m_ = 0;          // ... and how far from there the blade came
   std::size_t next_ = 0, next_end_ = 0;
   std::uint32_t next_end_part_ = 0;  // of that end
+  double end_strip_m_ = 0;           // its strip_m()
   std::size_t own_rims_ = 0;         // parts of this stroke's own rims that were looked at
   std::size_t next_quad_ = 0;        // of what is remembered, whose rims are looked at
   std::vector<Wall> walls_;          // near the parts before walls_end_
