@@ -65,6 +65,7 @@ void UndoHistory::note(const JournalRecord& record, const core::CutSession& sess
     ++now_.strokes;
     ++now_.blades[record.source].strokes;
     changed_ = false;
+    count_undoable();
   }
   if (spans_.empty() || !spans_.back().whole) return;
   Span& span = spans_.back();
@@ -84,12 +85,16 @@ void UndoHistory::note(const core::Delta& delta) {
   changed_ = true;
   const auto last =
       std::find_if(spans_.rbegin(), spans_.rend(), [](const Span& s) { return !s.points.empty(); });
-  if (last != spans_.rend()) add(last->points.back().cut, name_of(now_.blades[delta.source]));
+  if (last == spans_.rend()) return;
+  std::vector<std::string>& cut = last->points.back().cut;
+  const std::size_t blades = cut.size();
+  add(cut, name_of(now_.blades[delta.source]));
+  if (cut.size() != blades) count_undoable();
 }
 
 void UndoHistory::clear() {
   spans_.clear();
-  strokes_ = 0;
+  strokes_ = undoable_ = 0;
   changed_ = false;
   now_ = {};
 }
@@ -139,6 +144,20 @@ void UndoHistory::drop_last_point() {
   spans_.back().points.pop_back();
   --strokes_;
   if (spans_.back().points.empty() && !spans_.back().whole) spans_.pop_back();
+}
+
+// As last() finds one stroke after the other. O(points), once a stroke.
+void UndoHistory::count_undoable() {
+  undoable_ = 0;
+  std::vector<std::string> cut;  // the blades that have cut something from here to the last stroke found
+  for (auto span = spans_.rbegin(); span != spans_.rend(); ++span) {
+    for (auto point = span->points.rbegin(); point != span->points.rend(); ++point) {
+      for (const std::string& blade : point->cut) add(cut, blade);
+      if (std::find(cut.begin(), cut.end(), point->before.name()) == cut.end()) continue;
+      ++undoable_;
+      cut.clear();
+    }
+  }
 }
 
 const BeforeStroke* UndoHistory::last(const std::string* name) const {
@@ -210,6 +229,7 @@ void UndoHistory::went_back(const BeforeStroke& stroke) {
   span.points.resize(point);
   span.whole = true;
   changed_ = strokes_ > 0;  // or the point before would have been dropped for this one
+  count_undoable();
 }
 
 }  // namespace incise::loop

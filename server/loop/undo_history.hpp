@@ -49,7 +49,7 @@ struct Undone {
 // saved where a stroke begins and the way there from the last one has become long, so that saving takes a fifth of the processor time at most, and going
 // back some 50 ms more than reading a state. The oldest states are dropped when all takes more than `max_bytes`, but never the last one.
 //
-// Strokes that changed nothing are passed over. Whose a stroke is, the name says that its blade's owner had.
+// Strokes that opened no face are passed over: what else they did goes along with the stroke before. Whose a stroke is, the name says that its blade's owner had.
 //
 // Thread: one, at a time: the one that runs the session.
 class UndoHistory {
@@ -64,7 +64,7 @@ class UndoHistory {
   void clear();
 
   // How many strokes can be undone, one after the other.
-  std::size_t size() const { return changed_ || strokes_ == 0 ? strokes_ : strokes_ - 1; }
+  std::size_t size() const { return undoable_; }
   // The stroke that began last, of those that have cut something; with a name, of that blade's. Null: none.
   const BeforeStroke* last(const std::string* name = nullptr) const;
   // The blades that have cut something since that stroke began: Undone::blades.
@@ -93,14 +93,16 @@ class UndoHistory {
   void drop_oldest(std::size_t more, std::size_t kept, std::vector<std::byte>& place);
   static void cut_back(Span& span, std::size_t records);
   void drop_last_point();
+  void count_undoable();
   const Span* span_of(const BeforeStroke& stroke, std::size_t& point) const;
 
   const std::size_t max_bytes_;
   std::deque<Span> spans_;
-  std::size_t strokes_ = 0;  // points in all spans
-  bool changed_ = false;     // something was cut since the last point
-  double save_s_ = 0;        // what the last state took
-  BeforeStroke now_;         // the sums so far
+  std::size_t strokes_ = 0;   // points in all spans
+  std::size_t undoable_ = 0;  // points to which size() undos go back
+  bool changed_ = false;      // something was cut since the last point
+  double save_s_ = 0;         // what the last state took
+  BeforeStroke now_;          // the sums so far
 };
 
 }  // namespace incise::loop

@@ -11,6 +11,7 @@
 #include <string>
 #include <vector>
 
+#include "server/core/mesh/measure.hpp"
 #include "tests/loop/rig.hpp"
 
 namespace incise::loop {
@@ -42,6 +43,25 @@ class UndoHistoryTest : public ::testing::Test {
     record.begins_stroke = false;
     apply(record);
     clock_ns_ += 1'000'000'000;
+  }
+  // The beginning of such a sweep: it moves vertices onto the blade's way, and opens nothing.
+  void graze(double x) {
+    const std::uint64_t hash = session_->mesh().state_hash();
+    const std::uint64_t cut_faces = core::measure(session_->mesh()).cut_faces;
+    before_.push_back({session_->revision(), hash});
+    JournalRecord record;
+    for (const core::Pose& pose : tests::sweep_through(150, 1000, x, 0.1, clock_ns_)) {
+      if (pose.t_ns > clock_ns_ + 20'000'000) break;
+      record.pose = pose;
+      record.begins_stroke = pose.t_ns == clock_ns_;
+      apply(record);
+    }
+    record.kind = JournalRecord::Kind::kEndStroke;
+    record.begins_stroke = false;
+    apply(record);
+    clock_ns_ += 1'000'000'000;
+    ASSERT_NE(session_->mesh().state_hash(), hash);
+    ASSERT_EQ(core::measure(session_->mesh()).cut_faces, cut_faces);
   }
   // A stroke of source 1 that does not end; `meanwhile` is called after each pose, with its number.
   void begin_stroke(std::span<const core::Pose> poses, const std::function<void(std::size_t)>& meanwhile) {
@@ -133,6 +153,24 @@ TEST_F(UndoHistoryTest, StrokesThatChangedNothingArePassedOver) {
   EXPECT_EQ(history_->size(), 0u);
 }
 
+// Who asks for an undo wants to see a cut go. What such a stroke has changed all the same goes back exactly, with the stroke before.
+TEST_F(UndoHistoryTest, StrokesThatOpenedNothingArePassedOver) {
+  graze(0.2);
+  EXPECT_EQ(history_->size(), 0u);
+  EXPECT_EQ(history_->last(), nullptr);
+  stroke(0.5);
+  graze(0.8);
+  EXPECT_EQ(history_->size(), 1u);
+  stroke(0.35);
+  graze(0.7);
+  EXPECT_EQ(history_->size(), 2u);
+  undo_to(3);
+  EXPECT_EQ(history_->size(), 1u);
+  undo_to(1);
+  EXPECT_EQ(history_->size(), 0u);
+  EXPECT_EQ(history_->last(), nullptr);
+}
+
 TEST_F(UndoHistoryTest, ADeformedBodyGoesBackToTheShapeItHad) {
   stroke(0.5);
   deform(0.001);
@@ -149,7 +187,7 @@ TEST_F(UndoHistoryTest, AnotherBladesStrokeIsThereAsFarAsItWas) {
   const auto poses = tests::sweep_through(300, 1000, 0.3, 0.1, 1000);
   before_.push_back({session_->revision(), session_->mesh().state_hash()});
   begin_stroke(poses, [&](std::size_t i) {
-    if (i == 150) stroke(0.7);
+    if (i == 200) stroke(0.7);
   });
   EXPECT_EQ(history_->size(), 2u);
   undo_to(1);
@@ -207,6 +245,7 @@ TEST_F(UndoHistoryTest, TwoThatBeginAtOnceHaveAStrokeEach) {
   begin_stroke(poses, [&](std::size_t i) {
     if (i == 0) stroke(0.3);
   });
+  EXPECT_EQ(history_->size(), 1u) << "both go with the first undo";
   for (const std::string& name : {left, right}) {
     const BeforeStroke* const last = history_->last(&name);
     ASSERT_NE(last, nullptr) << name;

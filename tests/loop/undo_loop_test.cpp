@@ -270,10 +270,10 @@ TEST_F(UndoLoop, WhatAnotherBladeHasCutSinceIsLeftUnlessAskedFor) {
   EXPECT_EQ(state().state_hash, before.state_hash);
 
   const auto theirs = tests::sweep_through(150, 1000, 0.8, 0.1, clock_ns_);
-  for (std::size_t i = 0; i < 75; ++i) send(theirs[i], *other);
+  for (std::size_t i = 0; i < 100; ++i) send(theirs[i], *other);
   ASSERT_TRUE(frames_until(idle));
   cut(0.5);
-  for (std::size_t i = 75; i < theirs.size(); ++i) send(theirs[i], *other);
+  for (std::size_t i = 100; i < theirs.size(); ++i) send(theirs[i], *other);
   end(*other);
   ASSERT_TRUE(caught_up(3));
   const LoopState both = state();

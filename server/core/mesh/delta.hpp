@@ -59,8 +59,8 @@ struct Delta {
   std::uint32_t stroke = 0;  // counts the strokes of all sources, from 1; 0: no cut, the body deformed
   std::uint32_t batch = 0;   // within the stroke, from 1; a long one comes in several steps
   bool stroke_ended = false;
-  // A stroke changed the mesh: its blade was not in the air, nor in a cut that was there.
-  bool has_cut() const { return stroke != 0 && !(upserted.empty() && removed.empty() && moved.empty()); }
+  // The step opened faces. A stroke along a cut that is there may move its vertices a little: nobody would call that a cut.
+  bool has_cut() const { return cut_faces > 0; }
 
   std::vector<VertexId> moved;  // vertices that existed before and now lie elsewhere, ascending
   std::vector<Vec3> moved_positions;
