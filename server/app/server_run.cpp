@@ -7,6 +7,7 @@
 #include <future>
 #include <memory>
 #include <optional>
+#include <stdexcept>
 #include <thread>
 #include <vector>
 
@@ -31,6 +32,7 @@
 #include "server/app/undone_slot.hpp"
 #include "server/base/clock.hpp"
 #include "server/base/thread_name.hpp"
+#include "server/base/wording.hpp"
 #include "server/loop/realtime.hpp"
 #include "server/stream/ports.hpp"
 
@@ -143,8 +145,8 @@ class RunningServer {
   void start();
   // Watches the loop until a signal comes; its name.
   const char* watch(const EndSignals& signals);
-  // Ends everything in an order that loses nothing, and logs how it ended.
-  void stop();
+  // Ends everything in an order that loses nothing, and logs how it ended. Returns how many records are not in the capture.
+  std::uint64_t stop();
 
  private:
   stream::Providers providers();
@@ -354,7 +356,7 @@ const char* RunningServer::watch(const EndSignals& signals) {
   return signal;
 }
 
-void RunningServer::stop() {
+std::uint64_t RunningServer::stop() {
   const std::int64_t ending_ns = monotonic_ns();
   if (devices_) devices_->stop();  // forces go to zero first
   network_.stop();
@@ -365,6 +367,7 @@ void RunningServer::stop() {
   library_.stop();
   if (journal_) close_journal(ending_ns);
   log_end();
+  return journal_ ? journal_->lost() : 0;
 }
 
 void RunningServer::close_journal(std::int64_t ending_ns) {
@@ -412,6 +415,7 @@ void run_server(const Config& config, bool resume, const EndSignals& signals) {
     spdlog::info("{}: ending; another instance had the session", signals.wait());
     return;
   }
+  std::uint64_t lost = 0;
   {
     const auto lock = lock_capture(config);  // until the server has closed the capture
     raise_descriptor_limit();
@@ -419,9 +423,14 @@ void run_server(const Config& config, bool resume, const EndSignals& signals) {
     server.start();
     const char* const signal = server.watch(signals);
     spdlog::info("{}: ending", signal);
-    server.stop();
+    lost = server.stop();
   }
   cluster.release();
+  if (lost > 0) {
+    throw std::runtime_error(config.resolve(config.capture.path).string() +
+                             ": is incomplete: " + counted(lost, "record is", "records are") +
+                             " not in it, since it could not be written (the log says when and why)");
+  }
 }
 
 }  // namespace incise::app

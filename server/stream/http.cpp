@@ -104,8 +104,13 @@ std::optional<Answer> answer(const PeerContext& context, std::string_view path) 
   if (path == "/healthz") {
     // The text is ours, without characters to escape.
     const std::string trouble = providers.trouble ? providers.trouble() : std::string();
+    const protocol::Recording recording = context.recording.state;
+    // A server that only fails to record still cuts: nobody should restart it. Why it does, /stats says: paths are not for everybody.
+    const std::string status = !trouble.empty()                            ? trouble
+                               : recording == protocol::Recording::Stopped ? "poses are not recorded"
+                                                                           : "ok";
     return Answer{trouble.empty() ? http::status::ok : http::status::service_unavailable, "application/json",
-                  "{\"status\":\"" + (trouble.empty() ? "ok" : trouble) +
+                  "{\"status\":\"" + status + "\",\"recording\":\"" + protocol::name_of(recording) +
                       "\",\"revision\":" + std::to_string(counters.revision) +
                       ",\"sessions\":" + std::to_string(counters.peers) + "}\n"};
   }

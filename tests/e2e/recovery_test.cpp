@@ -218,6 +218,25 @@ TEST(Recovery, OnAFullDiskAPoseThatIsReportedAsRecordedIsInTheCapture) {
   EXPECT_EQ(what_the_server_has(session), before) << session.log();
 }
 
+// Whoever ends it, a person or a service manager, hears that the capture lacks something.
+TEST(Recovery, AServerThatCouldNotRecordAllSaysSoAtItsEnd) {
+  ServedSession session("incomplete", 4000, "");
+  SmallDisk disk(session);
+  ASSERT_TRUE(session.start(false)) << session.log();
+  {
+    PoseDriver driver(session, 500, 0.2);
+    EXPECT_TRUE(wait_for([&] { return driver.recorded() > 200; }));
+    disk.fill();
+    EXPECT_TRUE(wait_for([&] { return driver.recording() == protocol::Recording::Stopped; }));
+    const std::uint64_t accepted = driver.accepted();
+    EXPECT_TRUE(wait_for([&] { return driver.accepted() > accepted + 100; }));
+  }
+  session.server().signal(SIGTERM);
+  EXPECT_EQ(session.server().wait(), 1);
+  EXPECT_NE(session.log().find("incised: " + session.capture() + ": is incomplete: "), std::string::npos)
+      << session.log();
+}
+
 // Even after a short run, what a resume would have to compute is saved when the server ends, and when it
 // has nothing else to do.
 TEST(Recovery, ACleanEndLeavesNothingToReplay) {

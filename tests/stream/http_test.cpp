@@ -2,8 +2,10 @@
 #include <unistd.h>
 
 #include <atomic>
+#include <chrono>
 #include <filesystem>
 #include <fstream>
+#include <thread>
 
 #include "server/stream/origin.hpp"
 #include "tests/stream/mini_loop.hpp"
@@ -34,6 +36,7 @@ class HttpTest : public ::testing::Test {
     providers.stats_json = [] { return std::string("{\"frames\":1}"); };
     providers.trouble = [this] { return std::string(stands ? "the loop has not advanced for 4 s" : ""); };
     providers.metrics_text = [] { return std::string("incise_frames_total 1\n"); };
+    providers.recording = [this] { return RecordingNow{recording, "/var/disk.capture: full"}; };
     providers.documents["/surface"] = {"application/octet-stream",
                                        std::make_shared<std::string>(std::string("a\0b", 3))};
     providers.documents["/surface/0.png"] = {"image/png", std::make_shared<std::string>("picture")};
@@ -48,6 +51,7 @@ class HttpTest : public ::testing::Test {
   fs::path site = fs::temp_directory_path() / ("incise_http_" + std::to_string(::getpid())) / "site";
   std::unique_ptr<TestServer> test;
   std::atomic<bool> stands{false};
+  std::atomic<protocol::Recording> recording{protocol::Recording::On};
 };
 
 // What is in memory under these paths, letter by letter: a request names no file.
@@ -84,6 +88,24 @@ TEST_F(HttpTest, IsNotWellWhereTheLoopStands) {
   EXPECT_EQ(body_of(health).rfind("{\"status\":\"the loop has not advanced for 4 s\",", 0), 0u) << health;
   stands = false;
   EXPECT_EQ(status_of(http(port(), "/healthz")), "HTTP/1.1 200 OK");
+}
+
+// It cuts all the same: who watches it must not restart it, but is told, without the path.
+TEST_F(HttpTest, SaysThatPosesAreNotRecordedAndWorksAllTheSame) {
+  const auto says = [&](const std::string& begin) {
+    for (int i = 0; i < 500; ++i) {
+      const std::string health = http(port(), "/healthz");
+      EXPECT_EQ(status_of(health), "HTTP/1.1 200 OK");
+      if (body_of(health).rfind(begin, 0) == 0) return true;
+      std::this_thread::sleep_for(std::chrono::milliseconds(10));
+    }
+    return false;
+  };
+  EXPECT_TRUE(says(R"({"status":"ok","recording":"on",)"));
+  recording = protocol::Recording::Stopped;
+  EXPECT_TRUE(says(R"({"status":"poses are not recorded","recording":"stopped","revision")"));
+  recording = protocol::Recording::Off;
+  EXPECT_TRUE(says(R"({"status":"ok","recording":"off",)"));
 }
 
 TEST_F(HttpTest, SendsWhatIsPackedToWhoTakesIt) {
