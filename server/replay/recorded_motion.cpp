@@ -124,6 +124,22 @@ struct RecordReader {
 
 }  // namespace
 
+std::string ends_in_its_header(const std::string& name) {
+  return name +
+         ": is a capture that ends within its header, as a full disk leaves it: there is nothing in it to "
+         "read, replay or resume";
+}
+
+bool begins_as_capture(std::istream& in, const std::string& name) {
+  using Beginning = protocol::CaptureBeginning;
+  const Beginning beginning = protocol::capture_beginning(in);
+  const bool empty = in.peek() == std::istream::traits_type::eof();
+  in.clear();
+  if (beginning == Beginning::Torn && (!empty || name.ends_with(".capture")))
+    throw std::runtime_error(ends_in_its_header(name));
+  return beginning == Beginning::Whole;
+}
+
 RecordedMotion read_capture(std::istream& in, const std::string& name, const CaptureStart* start,
                             IfDamaged if_damaged, BeforeResets before_resets) {
   RecordedMotion motion;
@@ -149,7 +165,9 @@ RecordedMotion read_capture(std::istream& in, const std::string& name, const Cap
     motion.records = reader.records();
     std::visit(read, record);
   }
-  if (!motion.header) throw std::runtime_error(name + ": " + reader.error());
+  if (!motion.header)
+    throw std::runtime_error(status == Status::Torn ? ends_in_its_header(name)
+                                                    : name + ": " + reader.error());
   if (status == Status::Corrupt) {
     if (if_damaged == IfDamaged::kRefuse) throw DamagedCapture(name + ": " + reader.error());
     motion.end_error = reader.error();

@@ -83,6 +83,10 @@ struct DamagedCapture : std::runtime_error {
 };
 // What came before the last reset: only who checks all of a capture needs it.
 enum class BeforeResets : std::uint8_t { kDrop, kKeep };
+// What every reader says of a capture that ends within its header: nothing else is known of it.
+std::string ends_in_its_header(const std::string& name);
+// Whether that is a capture. Throws std::runtime_error where it ends within its first bytes; an empty file is one by its ending.
+bool begins_as_capture(std::istream& in, const std::string& name);
 // Reads a capture up to a torn end, which is a warning; from `start`, if given: then header is empty if there is no such record. `name`
 // is the capture in messages. Throws std::runtime_error: wrong bytes before the end, DamagedCapture if the header is good.
 RecordedMotion read_capture(std::istream& in, const std::string& name, const CaptureStart* start = nullptr,

@@ -406,6 +406,36 @@ TEST_F(Incised, ResumesAfterKill) {
   EXPECT_EQ(json::parse(info.out)["config"]["cut"]["batch_h"], 0.25) << info.out;
 }
 
+// A disk that is full at the start leaves that. Whatever reads it says the same, whether the file has no byte, half a word or half a header.
+TEST_F(Incised, ACaptureThatEndsInItsHeaderIsOneThingForAllThatReadIt) {
+  write("c.json", config());
+  pid_t pid = start({"--config", (dir_ / "c.json").string()});
+  ASSERT_GT(pid, 0);
+  EXPECT_EQ(stop(pid, SIGTERM), 0);
+  const fs::path capture = dir_ / "session.capture";
+  const std::string whole = tests::read_file(capture);
+  const std::string expected =
+      "session.capture: is a capture that ends within its header, as a full disk leaves it: there is nothing "
+      "in "
+      "it to read, replay or resume\n";
+  for (const std::size_t bytes : {300, 14, 8, 5, 0}) {
+    ASSERT_LT(bytes, whole.size());
+    fs::resize_file(capture, bytes);
+    for (const std::vector<std::string>& command : {std::vector<std::string>{"info", "session.capture"},
+                                                    {"replay", "session.capture"},
+                                                    {"export", "session.capture", "--out", "o.vtu"},
+                                                    {"convert", "session.capture", "--out", "o.capture"},
+                                                    {"stream", "session.capture", "--to", "127.0.0.1:1"}}) {
+      const RunResult result = tests::run_program("incise", command, dir_);
+      EXPECT_EQ(result.exit_code, 1) << command[0];
+      EXPECT_EQ(result.err, "incise: " + expected) << command[0] << " of " << bytes << " bytes";
+    }
+    const RunResult resumed = run({"--config", "c.json", "--resume"});
+    EXPECT_EQ(resumed.exit_code, 1);
+    EXPECT_NE(resumed.err.find(expected), std::string::npos) << resumed.err;
+  }
+}
+
 // A start moves the file away and writes another in its place, and the next start replaces what was moved: two of them would
 // destroy a file that was named by mistake.
 TEST_F(Incised, AFileThatIsNoCaptureIsNotRecordedOver) {

@@ -10,10 +10,6 @@
 namespace incise::app {
 namespace {
 
-bool is_capture(std::istream& in) {
-  return protocol::capture_beginning(in) == protocol::CaptureBeginning::Whole;
-}
-
 // Throws if a pose is not later than the one before of the same source; a source that is opened again has a new
 // clock.
 void refuse_unless_rising(const RecordedMotion& motion, const std::string& name) {
@@ -59,7 +55,7 @@ RecordedMotion read_recorded_motion(const std::filesystem::path& path, protocol:
                                     IfDamaged if_damaged) {
   const std::string name = path.string();
   const std::unique_ptr<std::istream> in = open_file(name);
-  if (is_capture(*in)) {
+  if (replay::begins_as_capture(*in, name)) {
     RecordedMotion motion = read_capture(*in, name, if_damaged);
     if (times == protocol::Times::kRefuse) refuse_unless_rising(motion, name);
     return motion;
@@ -93,7 +89,7 @@ RecordedMotion read_whole_capture(const std::filesystem::path& path, IfDamaged i
                                   BeforeResets before_resets) {
   const std::string name = path.string();
   const std::unique_ptr<std::istream> in = open_file(name);
-  if (!is_capture(*in)) {
+  if (!replay::begins_as_capture(*in, name)) {
     throw std::runtime_error(name +
                              ": is not a capture; incised records one (capture.path), and incise convert "
                              "makes one of a motion");
@@ -127,10 +123,13 @@ void check_capture_before(const std::filesystem::path& path, const CaptureStart&
 
 protocol::CaptureHeader read_capture_header(const std::filesystem::path& path) {
   const std::unique_ptr<std::istream> in = open_file(path.string());
-  const protocol::CaptureReader reader(*in);
-  if (!reader.header_ok())
-    throw std::runtime_error(path.string() + ": is not a capture of incised: " + reader.error());
-  return reader.header();
+  const bool torn = protocol::capture_beginning(*in) == protocol::CaptureBeginning::Torn;  // or empty
+  protocol::CaptureReader reader(*in);
+  if (reader.header_ok()) return reader.header();
+  protocol::CaptureRecord none;
+  if (torn || reader.next(none) == protocol::CaptureReader::Status::Torn)
+    throw std::runtime_error(replay::ends_in_its_header(path.string()));
+  throw std::runtime_error(path.string() + ": is not a capture of incised: " + reader.error());
 }
 
 const core::Blade& blade_of(const Config& config, std::uint32_t source) {

@@ -10,7 +10,6 @@
 #include <utility>
 
 #include "client/cli/usage.hpp"
-#include "protocol/capture.hpp"
 #include "server/app/offline/terminal.hpp"
 #include "server/base/wording.hpp"
 #include "server/replay/recorded_motion.hpp"
@@ -89,7 +88,7 @@ protocol::Motion read_streamed_motion(const StreamCommand& command) {
   const std::string name = command.poses.string();
   const protocol::Times times = command.strict ? protocol::Times::kRefuse : protocol::Times::kSkip;
   const std::unique_ptr<std::istream> in = protocol::open_motion(name);
-  const bool capture = protocol::capture_beginning(*in) == protocol::CaptureBeginning::Whole;
+  const bool capture = replay::begins_as_capture(*in, name);
   if (!capture && command.from_source)
     throw client::UsageError("--from-source: " + name + " is no capture; its poses have one source");
   protocol::Motion motion =
