@@ -172,6 +172,27 @@ class Player {
     return false;
   }
 
+  // Where its own blade has opened nothing. A jump is told by its limits: the server has said the one, the other is named with its default.
+  std::string why_nothing_was_cut(const protocol::PoseReport& report) const {
+    if (report.too_fast == 0) {
+      return "the blade missed the mesh, never moved, or no pose held the button that engages it, or all of "
+             "it "
+             "was cut before";
+    }
+    std::int64_t longest_ns = 0;
+    for (std::size_t i = 1; i < poses_.size(); ++i)
+      longest_ns = std::max(longest_ns, poses_[i].source_ns - poses_[i - 1].source_ns);
+    char text[320];
+    std::snprintf(
+        text, sizeof text,
+        "%s treated as a jump, which is faster than the server's cut.speed_limit_m_s (%g m/s) or comes "
+        "after more than its cut.gap_limit_s (0.25 s by default): the poses are up to %.3g s apart; record "
+        "more of them, or raise the limit there",
+        (counted(report.too_fast, "step") + (report.too_fast == 1 ? " was" : " were")).c_str(),
+        welcome_.max_speed_m_s, static_cast<double>(longest_ns) * 1e-9);
+    return text;
+  }
+
   void print(bool settled) const {
     const protocol::PoseReport r = client_.report();
     const std::uint64_t revision = client_.revision();
@@ -182,10 +203,7 @@ class Player {
                    r.accepted - r.recorded, r.accepted);
     }
     if (settled && seen_.faces == 0 && !seen_.missed) {
-      warn("nothing was cut by blade " + shown_name(command_.source_name) + ": " +
-           (r.too_fast > 0 ? "the server treated steps as jumps (cut.speed_limit_m_s, cut.gap_limit_s)"
-                           : "the blade missed the mesh, never moved, or no pose held the button that "
-                             "engages it, or all of it was cut before"));
+      warn("nothing was cut by blade " + shown_name(command_.source_name) + ": " + why_nothing_was_cut(r));
     }
     if (command_.json) {
       const nlohmann::ordered_json summary{{"poses_sent", sent_},
@@ -292,7 +310,7 @@ int run_stream(const StreamCommand& command, protocol::Motion motion) {
   interrupted();  // from here on Ctrl-C ends the playing, not the program
   Callbacks callbacks;
   callbacks.on_error = [](const protocol::Error& error) {
-    std::fprintf(stderr, "incise: server: %s: %s\n", name_of(error.code), error.text.c_str());
+    std::fprintf(stderr, "incise: server: %s\n", error.text.c_str());
   };
   bool stopped = false;
   callbacks.on_report = [&stopped](const protocol::PoseReport& report) {

@@ -143,8 +143,9 @@ TEST_F(CommandsTest, StreamWarnsWhereItsPosesAreNotRecorded) {
   EXPECT_EQ(summary["recording"], "stopped");
   EXPECT_EQ(summary["accepted"], 200);
   EXPECT_EQ(summary["recorded"], 0);
-  EXPECT_NE(told.find("NotRecorded: poses are cut, but not recorded: disk.capture: No space left on device"),
-            std::string::npos)
+  EXPECT_NE(
+      told.find("incise: server: poses are cut, but not recorded: disk.capture: No space left on device"),
+      std::string::npos)
       << told;
   EXPECT_NE(told.find("200 of 200 accepted poses are not in the server's capture"), std::string::npos)
       << told;
@@ -242,6 +243,25 @@ TEST_F(CommandsTest, StreamSkipsSamplesWhoseTimeDoesNotRiseAndSaysThatNothingWas
   EXPECT_NE(told.find("warning: nothing was cut"), std::string::npos) << told;
   command.strict = true;
   EXPECT_THROW(stream(command), protocol::MotionError);
+}
+
+// As where README's motion of two poses is played, which `incise cut` takes as it is: the limits with their values, and what the motion has.
+TEST_F(CommandsTest, StreamSaysWhichLimitsMadeJumpsOfItsSteps) {
+  std::ofstream(directory / "pass.tum") << "0 0.03 -0.1 0.07 0 0 0 1\n1 0.03 0.1 0.07 0 0 0 1\n";
+  StreamCommand command;
+  command.poses = directory / "pass.tum";
+  command.server.address = address();
+  ::testing::internal::CaptureStdout();
+  ::testing::internal::CaptureStderr();
+  EXPECT_EQ(stream(command), 0);
+  ::testing::internal::GetCapturedStdout();
+  const std::string told = ::testing::internal::GetCapturedStderr();
+  EXPECT_NE(
+      told.find("warning: nothing was cut by blade \"blade\": 1 step was treated as a jump, which is faster "
+                "than the server's cut.speed_limit_m_s (2 m/s) or comes after more than its cut.gap_limit_s "
+                "(0.25 s by default): the poses are up to 1 s apart; "),
+      std::string::npos)
+      << told;
 }
 
 // A capture of what `append` gives to its writer.
