@@ -139,7 +139,7 @@ bool Client::Impl::on(const protocol::Pong& pong, const Arrival& arrival) {
 }
 
 bool Client::Impl::on(const protocol::Error& error, const Arrival&) {
-  if (error.fatal) note_failure(std::string(name_of(error.code)) + ": " + error.text);
+  if (error.fatal) note_failure(error.text);
   call(callbacks.on_error, error);
   return true;  // Bye follows a fatal one
 }

@@ -209,9 +209,7 @@ class Watcher {
       const std::scoped_lock lock(mutex_);
       stats_ = stats;
     };
-    c.on_error = [this](const protocol::Error& e) {
-      say(std::string("server: ") + name_of(e.code) + ": " + e.text);
-    };
+    c.on_error = [this](const protocol::Error& e) { say("server: " + e.text); };
     c.on_resync = [this](const std::string& why) { say("resync: " + why); };
     c.on_disconnect = [this](const std::string& why) { say(why); };
     return c;

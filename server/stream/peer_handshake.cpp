@@ -28,7 +28,7 @@ double distance(const protocol::Vec3& a, const protocol::Vec3& b) {
 std::optional<Refusal> check_blade(const protocol::BladeEdge& blade, const protocol::Box& mesh) {
   const double length = distance(blade.heel, blade.tip), max = 100 * distance(mesh.min, mesh.max);
   if (length <= max) return std::nullopt;
-  return Refusal{ErrorCode::BadRequest, "Hello.blade is " + std::to_string(length) +
+  return Refusal{ErrorCode::BadRequest, "the blade is " + std::to_string(length) +
                                             " m long, accepted are up to " + std::to_string(max) +
                                             " m: 100 times the mesh"};
 }

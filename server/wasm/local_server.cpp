@@ -254,7 +254,7 @@ bool LocalServer::take_blade(std::uint32_t number, Peer& peer, const protocol::H
   const protocol::Box& box = body_.welcome.mesh.box;
   const double body_m = std::hypot(box.max.x - box.min.x, box.max.y - box.min.y, box.max.z - box.min.z);
   if (distance(blade.heel, blade.tip) > kMostBladeLengths * body_m) {
-    refuse(number, ErrorCode::BadRequest, "Hello.blade is longer than 100 times the body", sequence);
+    refuse(number, ErrorCode::BadRequest, "the blade is longer than 100 times the body", sequence);
     return false;
   }
   peer.source = source;
