@@ -108,6 +108,18 @@ std::vector<Json> compare(const CutCommand& command, const CutInput& in, Progres
   return reports;
 }
 
+// What is wrong or missing in the mesh that is written. (A comparison writes none, and has the inverted tetrahedra in its table.)
+std::vector<std::string> mesh_warnings(const std::filesystem::path& path, const CutOutcome& out) {
+  std::vector<std::string> warnings;
+  if (const auto inverted = out.report["inverted"].get<std::uint64_t>(); inverted > 0) {
+    warnings.push_back(counted(inverted, "tetrahedron is", "tetrahedra are") +
+                       " inverted, as the policy croll may leave them: --policy conforming leaves none");
+  }
+  if (std::string without = cuts_left_out(path, out.session->mesh()); !without.empty())
+    warnings.push_back(std::move(without));
+  return warnings;
+}
+
 // Prints the warnings of all reports, each once, and the report, or the comparison of several. Returns the exit
 // status.
 int finish(const CutCommand& command, const std::vector<Json>& reports) {
@@ -168,7 +180,9 @@ int run_cut(const CutCommand& command) {
         if (command.config.empty() && drop_look_files(in.config)) in.warnings.push_back(kLookFilesLeftOut);
         regions = region_materials(in.config, in.loaded->mesh, command.config.string());
       }
-      const CutOutcome out = cut(in, in.config, progress);
+      CutOutcome out = cut(in, in.config, progress);
+      for (std::string& warning : mesh_warnings(command.out, out))
+        out.report["warnings"].push_back(std::move(warning));
       progress.stage("writing " + command.out.filename().string());
       write_cut_mesh(command.out, *out.session, in.loaded->surface.get(), &regions);
       if (!command.report.empty()) write_text(command.report, out.report.dump(2) + "\n");

@@ -161,6 +161,17 @@ std::string fields_left_out(const fs::path& path, std::span<const mesh_io::Field
   return path.string() + ": is without the body's fields (" + names + "); .vtu and .vtk have them";
 }
 
+std::string cuts_left_out(const fs::path& path, const core::TetMesh& mesh) {
+  if (keeps_fields(path) || mesh_io::is_surface_file(path) || is_glb_file(path)) return {};
+  for (core::TetId t = 0; t < mesh.tet_slots(); ++t) {
+    if (!mesh.alive(t) || mesh.cut_mask(t) == 0) continue;
+    return path.string() +
+           ": does not say which faces are cuts, so a further cut takes them for the body's boundary; .vtu "
+           "and .vtk say it";
+  }
+  return {};
+}
+
 bool keeps_materials(const fs::path& path) {
   return is_glb_file(path) || lowercase_ending(path) == ".obj";
 }

@@ -43,6 +43,9 @@ void print_written(const std::vector<std::filesystem::path>& files);
 bool keeps_fields(const std::filesystem::path& path);
 // The warning that a file of this name is without these fields; empty where it has them, or there are none.
 std::string fields_left_out(const std::filesystem::path& path, std::span<const mesh_io::Field> fields);
+// The warning that a file of this name does not say which faces are cuts, as a further cut needs it; empty where it does, where it is only a surface,
+// or where the mesh has no cuts.
+std::string cuts_left_out(const std::filesystem::path& path, const core::TetMesh& mesh);
 
 // Whether write_cut_mesh() writes materials to a file of this name.
 bool keeps_materials(const std::filesystem::path& path);

@@ -232,6 +232,8 @@ void MotionRun::commit_all(const Options& options) {
       }
     }
     crossed_an_edge_ = crossed_an_edge_ || session_.committed_counts().events > 0;
+    changed_ = changed_ || (batch.stroke > 0 &&
+                            !(delta_.moved.empty() && delta_.upserted.empty() && delta_.removed.empty()));
     core::add_sweep(swept_, batch.lines, kSweepTolerance_h * h_m_);
     options.commit(delta_, us.count());
   }
@@ -259,7 +261,11 @@ std::vector<std::string> MotionRun::pose_warnings() const {
 
 std::vector<std::string> MotionRun::warnings(std::uint32_t cut_faces, const Box& body) const {
   std::vector<std::string> all = pose_warnings();
-  if (cut_faces == 0) all.push_back("nothing was cut: " + why_nothing_was_cut());
+  if (cut_faces == 0) {
+    all.push_back(std::string("nothing was cut") +
+                  (changed_ ? ", though the mesh has changed (vertices were moved): " : ": ") +
+                  why_nothing_was_cut());
+  }
   if (const std::string hint = units_hint(cut_faces == 0, body); !hint.empty()) all.push_back(hint);
   return all;
 }

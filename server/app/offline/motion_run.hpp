@@ -106,6 +106,7 @@ class MotionRun {
   Box tool_, lines_;                          // of the poses' positions; of the blade's lines in all batches
   core::SweptSurface swept_;
   bool crossed_an_edge_ = false;
+  bool changed_ = false;  // the mesh, in some batch
 };
 
 }  // namespace incise::app

@@ -221,6 +221,8 @@ int run_export(const ExportCommand& command) {
                        ".vtk have both");
   }
   if (!without_fields.empty()) warnings.push_back(without_fields);
+  if (std::string warning = cuts_left_out(command.out, session.mesh()); !warning.empty())
+    warnings.push_back(std::move(warning));
   print_warnings(warnings);
   if (command.json) {
     std::printf("%s\n", Json{{"out", command.out.string()},
