@@ -454,9 +454,10 @@ FrameReader::Status FrameReader::read(std::span<const std::byte>& input) {
       failed_ = true;
       if (std::memcmp(prefix_, "HTTP", kPrefixBytes) == 0)
         error_ =
-            "the port speaks HTTP, not the binary protocol: use the other port, or ws:// before this one; ";
-      error_ += "length prefix: " + std::to_string(size) + " bytes, accepted are " +
-                std::to_string(kMinMessageBytes) + " to " + std::to_string(max_bytes_);
+            "the port speaks HTTP, not the binary protocol: use the other port, or ws:// before this one";
+      else
+        error_ = "length prefix: " + std::to_string(size) + " bytes, accepted are " +
+                 std::to_string(kMinMessageBytes) + " to " + std::to_string(max_bytes_);
       return Status::Failed;
     }
     size_ = size;

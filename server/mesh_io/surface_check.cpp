@@ -145,7 +145,9 @@ class SurfaceCheck {
     std::sort(s.begin(), s.end());
     std::sort(t.begin(), t.end());
     if (s == t)
-      fail(place(a) + " and triangle " + std::to_string(b) + " have the same vertices: remove one of them");
+      fail(place(a) + " and triangle " + std::to_string(b) +
+           " have the same vertices: remove one of them; of a body that was cut, take its .vtu instead of "
+           "the surface");
   }
 
   // Turns triangles so that neighbours agree, shell by shell, following the majority of the shell.

@@ -1,7 +1,11 @@
 #include "server/mesh_io/tetgen_files.hpp"
 
 #include <cmath>
+#include <filesystem>
 #include <limits>
+#include <string>
+#include <system_error>
+#include <tuple>
 #include <utility>
 
 #include "server/mesh_io/mesh_error.hpp"
@@ -128,6 +132,16 @@ TetgenPaths tetgen_paths(const std::filesystem::path& path) {
 core::MeshData read_tetgen(const std::filesystem::path& path, int& index_base,
                            std::vector<std::string>& warnings) {
   const TetgenPaths paths = tetgen_paths(path);
+  const auto is_there = [](const std::filesystem::path& file) {
+    std::error_code error;
+    return std::filesystem::exists(file, error);
+  };
+  for (const auto& [missing, other, has] :
+       {std::tuple{paths.ele, paths.node, "points"}, {paths.node, paths.ele, "tetrahedra"}}) {
+    if (is_there(other) && !is_there(missing))
+      throw MeshError(missing.string() + ": no such file; " + other.string() + " has only the " + has +
+                      ": put the other file of TetGen's pair beside it");
+  }
   core::MeshData mesh;
   read_nodes(paths.node, mesh, index_base);
   read_elements(paths.ele, mesh, index_base, warnings);

@@ -153,8 +153,9 @@ void Session::on_lost(const std::string& why) {
     if (!figures_.connected && figures_.trouble.ends_with(why)) return;
     figures_.connected = false;
   }
-  spdlog::warn("{}: no connection to {}: {}", name_, upstream_->name(), why);
-  set_trouble("no connection to " + upstream_->name() + ": " + why);
+  const std::string to = why.starts_with(upstream_->name() + ": ") ? why : upstream_->name() + ": " + why;
+  spdlog::warn("{}: no connection to {}", name_, to);
+  set_trouble("no connection to " + to);
 }
 
 Held Session::held() const {

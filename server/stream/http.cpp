@@ -326,6 +326,11 @@ asio::awaitable<bool> serve_request(PeerContext& context, const StaticFiles& fil
   if (const std::optional<StaticFiles::File> file = files.find(target)) {
     co_return co_await send_file(stream, request, *file);
   }
+  if (path == "/") {
+    co_return co_await send_text(
+        stream, request, http::status::not_found,
+        "this server has no page: build it (./dev build) or name its folder (listen.viewer_directory)\n");
+  }
   co_return co_await send_text(stream, request, http::status::not_found, "not found\n");
 }
 

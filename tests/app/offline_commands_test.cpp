@@ -757,6 +757,14 @@ TEST_F(Incise, ABladeThatMissesIsAWarningThatSaysWhereItWas) {
       << result.err;
 }
 
+// A folder that takes no files is found before the work, and named.
+TEST_F(Incise, AnOutputInAFolderThatTakesNoFilesIsRefusedAtOnce) {
+  write_cube_and_sweep();
+  expect_error(
+      run({"cut", "--mesh", "cube", "--poses", "sweep.csv", "--blade", kBlade, "--out", "/proc/x.vtu"}), 1,
+      {"--out /proc/x.vtu: files cannot be made in /proc (", "); choose another directory"});
+}
+
 // Here croll moves a vertex and opens nothing: "nothing was cut" alone would read as if the mesh were the one that was read.
 TEST_F(Incise, ACutThatOpensNothingButChangesTheMeshSaysSo) {
   mesh_io::write_mesh(dir_ / "cube.node", tests::cube(6));

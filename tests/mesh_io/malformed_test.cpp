@@ -406,7 +406,12 @@ TEST(Malformed, NotAFile) {
   std::filesystem::create_directory(directory / "a.stl");
   expect_error(directory / "a.stl", "not a regular file");
   directory.write("a.node", kGoodNodes);
-  expect_error(directory / "a.node", "a.ele: no such file");
+  expect_error(directory / "a.node",
+               "a.ele: no such file; " + (directory / "a.node").string() +
+                   " has only the points: put the other file of TetGen's pair beside it");
+  std::filesystem::rename(directory / "a.node", directory / "a.ele");
+  expect_error(directory / "a.ele", "a.node: no such file; " + (directory / "a.ele").string() +
+                                        " has only the tetrahedra: put the other");
   std::filesystem::create_symlink("/dev/zero", directory / "a.off");
   expect_error(directory / "a.off", "not a regular file");
 }

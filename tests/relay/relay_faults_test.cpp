@@ -168,6 +168,8 @@ TEST(RelayFaults, AnOriginThatIsAwayForAWhileIsWaitedFor) {
   EXPECT_EQ(viewer.client().revision(), then);
   EXPECT_EQ(viewer.client().status(), client::Status::kConnected);
   EXPECT_EQ(relay.stat("/relay/connected"), 0.0);
+  EXPECT_EQ(relay.log().find(place(wire.port()) + ": " + place(wire.port())), std::string::npos)
+      << "the address once: " << relay.log();
   // Who comes now is shown what there is.
   Witness late(relay.tcp_port());
   EXPECT_TRUE(late.client().wait_for_revision(then, 20));

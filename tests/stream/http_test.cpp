@@ -108,6 +108,15 @@ TEST_F(HttpTest, SaysThatPosesAreNotRecordedAndWorksAllTheSame) {
   EXPECT_TRUE(says(R"({"status":"ok","recording":"off",)"));
 }
 
+TEST_F(HttpTest, WithoutAPageItSaysWhereOneWouldBe) {
+  EXPECT_EQ(status_of(http(port(), "/")), "HTTP/1.1 200 OK");
+  fs::remove(site / "index.html");
+  const std::string answer = http(port(), "/");
+  EXPECT_EQ(status_of(answer), "HTTP/1.1 404 Not Found");
+  EXPECT_NE(body_of(answer).find("listen.viewer_directory"), std::string::npos) << answer;
+  EXPECT_EQ(body_of(http(port(), "/none")), "not found\n");
+}
+
 TEST_F(HttpTest, SendsWhatIsPackedToWhoTakesIt) {
   std::ofstream(site / "page.js") << "let plain;";
   std::ofstream(site / "page.js.gz") << "as if packed";
