@@ -230,6 +230,20 @@ test("undo goes back one stroke at a time, with the button and with the key", as
   assert.deepEqual(faults, []);
 });
 
+test("an undo that is asked for within a stroke says that it waits for its end, and takes it back", async (t) => {
+  const server = await serve(t);
+  const { page, faults } = await look(t, server.url);
+  await bladeIsReady(page);
+  const uncut = (await progress(page)).hash;
+  const key = setTimeout(() => void page.keyboard.press("z"), 200);
+  t.after(() => clearTimeout(key));
+  await drag(page, [0.4, 0.02], [0.44, 0.98], 60);
+  await until(page, () => window.incise.progress.revision > 0 || document.querySelector(".notice p"));
+  assert.deepEqual(await notices(page), ["The undo waits until this stroke ends, and takes it back where it has cut something."]);
+  await until(page, (h) => window.incise.progress.hash === h && !document.body.dataset.stroke, uncut);
+  assert.deepEqual(faults, []);
+});
+
 test("a server with tokens asks for one", async (t) => {
   const server = new Server();
   t.after(() => server.end());
