@@ -189,11 +189,29 @@ void add_watch(CLI::App& app, int& exit_code, const FindServer& find) {
   });
 }
 
+void add_restart(CLI::App& app, int& exit_code, const FindServer& find, protocol::RestartKind kind,
+                 const char* name, const char* does) {
+  auto command = std::make_shared<RestartCommand>();
+  command->kind = kind;
+  CLI::App* sub = app.add_subcommand(name, does);
+  sub->add_option("server", command->server.address, address_help(find))->required();
+  sub->add_flag("--json", command->json, "Print what happened as JSON");
+  add_server_options(*sub, command->server);
+  sub->callback([command, find, &exit_code] {
+    if (find) command->server.address = find(command->server.address, false);
+    exit_code = run_restart(*command);
+  });
+}
+
 }  // namespace
 
 void add_network_commands(CLI::App& app, int& exit_code, const ReadMotion& read, const FindServer& find) {
   add_stream(app, exit_code, read, find);
   add_watch(app, exit_code, find);
+  add_restart(app, exit_code, find, protocol::RestartKind::Undo, "undo",
+              "Undo the last stroke that cut something, for everybody (role admin)");
+  add_restart(app, exit_code, find, protocol::RestartKind::Reset, "reset",
+              "Reset the body to the mesh as loaded, for everybody (role admin)");
 }
 
 }  // namespace incise::client

@@ -69,6 +69,16 @@ struct WatchCommand {
 // did not come back in time.
 int run_watch(const WatchCommand& command);
 
+struct RestartCommand {
+  ServerOptions server;
+  protocol::RestartKind kind = protocol::RestartKind::Undo;
+  bool json = false;
+};
+// Undoes the last stroke of all, or resets the body, as an administrator, and says what happened. Throws where the server refuses.
+int run_restart(const RestartCommand& command);
+// The same without a word: the Welcome that the server then sends. `options` names who asked.
+protocol::Welcome restart_as_admin(const Address& where, Options options, protocol::RestartKind kind);
+
 // Makes what --to and SERVER name into an address; `to_watch`: no blade is wanted there.
 using FindServer = std::function<std::string(const std::string& named, bool to_watch)>;
 // Reads the motion that a command names, and warns. It is the program's, which knows what of a capture counts.

@@ -1,9 +1,11 @@
 #include "client/cli/restart_notice.hpp"
 
 #include <cstdio>
+#include <nlohmann/json.hpp>
 #include <utility>
 
 #include "client/cli/shown_name.hpp"
+#include "protocol/role_names.hpp"
 
 namespace incise::client {
 
@@ -22,6 +24,17 @@ std::string restart_text(const protocol::Restart& restart, std::uint64_t revisio
               shown_name(restart.others[i]);
   if (!others.empty()) others += restart.others.size() == 1 ? " has cut since" : " have cut since";
   return stroke + others + ": the body is as it was at revision " + std::to_string(revision);
+}
+
+std::string restart_json(const protocol::Restart& restart, std::uint64_t revision) {
+  const bool undo = restart.kind == protocol::RestartKind::Undo;
+  nlohmann::ordered_json line{{"event", undo ? "undo" : "reset"},
+                              {"revision", revision},
+                              {"by", restart.by},
+                              {"role", protocol::name_of(restart.role)}};
+  if (undo) line.update({{"blade", restart.blade}, {"others", restart.others}});
+  // Names are what clients have sent.
+  return line.dump(-1, ' ', false, nlohmann::ordered_json::error_handler_t::replace);
 }
 
 bool RestartNotice::operator()(const protocol::Welcome& welcome) {

@@ -259,27 +259,12 @@ void reset_body(const Address& where, Options options) {
   // The others are told who it was.
   options.client_name =
       (options.client_name + " stream, blade " + options.source_name).substr(0, protocol::kMaxNameBytes);
-  options.role = protocol::Role::Admin;
-  options.view = protocol::View::None;
-  std::mutex mutex;
-  std::string refusal;  // guarded by mutex
-  Callbacks callbacks;
-  callbacks.on_error = [&](const protocol::Error& error) {
-    const std::scoped_lock lock(mutex);
-    refusal = error.text;
-  };
-  const auto client = connect(where, options, std::move(callbacks));
-  const std::uint64_t before = client->welcome().session;
-  client->reset();
-  const auto began = steady_clock::now();
-  while (client->welcome().session == before) {
-    std::this_thread::sleep_for(kStep);
-    const std::scoped_lock lock(mutex);
-    if (!refusal.empty()) throw std::runtime_error("--reset: " + refusal);
-    if (client->status() != Status::kConnected) throw std::runtime_error("--reset: " + client->last_error());
-    if (steady_clock::now() - began > std::chrono::duration<double>(kPatience_s)) {
-      throw std::runtime_error("--reset: the server has not reset the body; try again");
-    }
+  try {
+    restart_as_admin(where, options, protocol::RestartKind::Reset);
+  } catch (const ConnectError&) {
+    throw;
+  } catch (const std::runtime_error& error) {
+    throw std::runtime_error("--reset: " + std::string(error.what()));
   }
 }
 

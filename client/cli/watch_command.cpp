@@ -18,7 +18,6 @@
 #include "client/cli/commands.hpp"
 #include "client/cli/output_file.hpp"
 #include "client/cli/restart_notice.hpp"
-#include "protocol/role_names.hpp"
 
 namespace incise::client {
 namespace {
@@ -315,14 +314,7 @@ class Watcher {
 
   // A line of its own: who has reset the body or undone something, and the revision that it is at since.
   static void print_event(const protocol::Welcome& welcome) {
-    const protocol::Restart& restart = *welcome.restart;
-    const bool undo = restart.kind == protocol::RestartKind::Undo;
-    nlohmann::ordered_json line{{"event", undo ? "undo" : "reset"},
-                                {"revision", welcome.revision},
-                                {"by", restart.by},
-                                {"role", protocol::name_of(restart.role)}};
-    if (undo) line.update({{"blade", restart.blade}, {"others", restart.others}});
-    print(line);
+    std::printf("%s\n", restart_json(*welcome.restart, welcome.revision).c_str());
   }
   // Names are what clients have sent. One call: both threads print.
   static void print(const nlohmann::ordered_json& line) {

@@ -80,6 +80,40 @@ constexpr const char* kNoStroke =
     "Undo: there is no stroke to undo: only those since the server's start can be undone, as far back as it "
     "keeps states";
 
+// Without a page: by hand, or in a script that cuts the same body again and again.
+TEST(Undo, TheCommandsUndoAndResetSayWhatHappenedOrWhyNothingDid) {
+  ServedSession session("undo_commands", 4000, "");
+  ASSERT_TRUE(session.start(false)) << session.log();
+  const std::string server = "127.0.0.1:" + std::to_string(session.tcp_port());
+  const auto viewer = client::Client::connect("127.0.0.1", session.tcp_port());
+  ASSERT_TRUE(viewer->wait_for_revision(0, 60));
+  const Held uncut = held(*viewer);
+  const auto cut = [&] {
+    Hand hand(session, "left");
+    hand.cut(0.4);
+    return settled(session, *viewer);
+  };
+  EXPECT_GT(cut().revision, 0u);
+  Process undo({"incise", "undo", server});
+  EXPECT_EQ(undo.wait(), 0);
+  EXPECT_EQ(
+      undo.rest(),
+      "administrator \"incise undo\" has undone the last stroke of blade \"left\": the body is as it was at "
+      "revision 0\n");
+  EXPECT_EQ(settled(session, *viewer), uncut);
+  Process again({"incise", "undo", server});
+  EXPECT_EQ(again.wait(), 1) << "there is no stroke to undo";
+  EXPECT_EQ(again.rest(), "");
+
+  cut();
+  Process reset({"incise", "reset", server, "--json"});
+  EXPECT_EQ(reset.wait(), 0);
+  EXPECT_EQ(reset.rest(), R"({"event":"reset","revision":0,"by":"incise reset","role":"admin"})"
+                          "\n");
+  EXPECT_TRUE(wait_for([&] { return viewer->revision() == 0; }));
+  EXPECT_EQ(held(*viewer), uncut);
+}
+
 // Strokes are undone one after the other, cutting goes on, and a server that is killed at once resumes what was left, under
 // its epoch; also where the newest checkpoint is of what was undone.
 TEST(Recovery, WhatWasUndoneStaysUndone) {
