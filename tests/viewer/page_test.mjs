@@ -239,7 +239,9 @@ test("an undo that is asked for within a stroke says that it waits for its end, 
   t.after(() => clearTimeout(key));
   await drag(page, [0.4, 0.02], [0.44, 0.98], 60);
   await until(page, () => window.incise.progress.revision > 0 || document.querySelector(".notice p"));
-  assert.deepEqual(await notices(page), ["The undo waits until this stroke ends, and takes it back where it has cut something."]);
+  assert.deepEqual(await notices(page), [
+    "The undo waits until this stroke ends, and takes it back where it has cut something.",
+  ]);
   await until(page, (h) => window.incise.progress.hash === h && !document.body.dataset.stroke, uncut);
   assert.deepEqual(faults, []);
 });

@@ -326,7 +326,8 @@ export class Page {
   private undo(others = false): void {
     if (this.replay.facts !== null) return;
     this.resetAsked_ms = performance.now();
-    if (this.mouse.cutting) notice("The undo waits until this stroke ends, and takes it back where it has cut something.");
+    if (this.mouse.cutting)
+      notice("The undo waits until this stroke ends, and takes it back where it has cut something.");
     this.send({ kind: "undo", others });
   }
 
