@@ -355,7 +355,9 @@ class Fields(Folder):
             for ending, expected in (("vtu", []), ("msh", [f"{self.folder / 'out.msh'}{said}"])):
                 done = run_incise(*arguments, "--out", self.folder / f"out.{ending}", "--json")
                 warned = [text for text in json.loads(done.stdout)["warnings"] if "orientations" not in text]
-                self.assertEqual(warned, expected, done.stderr)
+                of_cuts = f"{self.folder / 'out.msh'}: does not say which faces are cuts, so a further cut takes them for the body's boundary; .vtu and .vtk say it"
+                self.assertEqual(of_cuts in done.stderr, ending == "msh", done.stderr)
+                self.assertEqual([text for text in warned if text != of_cuts], expected, done.stderr)
 
     def test_an_export_has_them(self):
         plain, _ = self.body()

@@ -108,7 +108,8 @@ std::vector<Json> compare(const CutCommand& command, const CutInput& in, Progres
   return reports;
 }
 
-// What is wrong or missing in the mesh that is written. (A comparison writes none, and has the inverted tetrahedra in its table.)
+// What is wrong or missing in the mesh that is written: no part of the report, which is of the cut. (A comparison writes none, and has the
+// inverted tetrahedra in its table.)
 std::vector<std::string> mesh_warnings(const std::filesystem::path& path, const CutOutcome& out) {
   std::vector<std::string> warnings;
   if (const auto inverted = out.report["inverted"].get<std::uint64_t>(); inverted > 0) {
@@ -120,9 +121,10 @@ std::vector<std::string> mesh_warnings(const std::filesystem::path& path, const 
   return warnings;
 }
 
-// Prints the warnings of all reports, each once, and the report, or the comparison of several. Returns the exit
-// status.
-int finish(const CutCommand& command, const std::vector<Json>& reports) {
+// Prints the warnings of all reports, each once, those of the mesh that was written, and the report, or the comparison of several. Returns the
+// exit status.
+int finish(const CutCommand& command, const std::vector<Json>& reports,
+           const std::vector<std::string>& of_mesh) {
   std::vector<std::string> warnings;
   for (const Json& report : reports) {
     for (const auto& one : report["warnings"]) {
@@ -130,6 +132,7 @@ int finish(const CutCommand& command, const std::vector<Json>& reports) {
       if (std::find(warnings.begin(), warnings.end(), text) == warnings.end()) warnings.push_back(text);
     }
   }
+  warnings.insert(warnings.end(), of_mesh.begin(), of_mesh.end());
   print_warnings(warnings);
   const bool compares = reports.size() > 1;
   if (command.json) {
@@ -160,6 +163,7 @@ int run_cut(const CutCommand& command) {
   require_outputs({{command.out, "--out", Output::Kind::kMesh}, {command.report, "--report"}},
                   {command.mesh, command.poses, command.config});
   std::vector<Json> reports;
+  std::vector<std::string> of_mesh;
   {
     Progress progress("reading " + command.poses.filename().string());
     CutInput in = read_motion_input(
@@ -180,16 +184,15 @@ int run_cut(const CutCommand& command) {
         if (command.config.empty() && drop_look_files(in.config)) in.warnings.push_back(kLookFilesLeftOut);
         regions = region_materials(in.config, in.loaded->mesh, command.config.string());
       }
-      CutOutcome out = cut(in, in.config, progress);
-      for (std::string& warning : mesh_warnings(command.out, out))
-        out.report["warnings"].push_back(std::move(warning));
+      const CutOutcome out = cut(in, in.config, progress);
+      of_mesh = mesh_warnings(command.out, out);
       progress.stage("writing " + command.out.filename().string());
       write_cut_mesh(command.out, *out.session, in.loaded->surface.get(), &regions);
       if (!command.report.empty()) write_text(command.report, out.report.dump(2) + "\n");
       reports.push_back(out.report);
     }
   }
-  return finish(command, reports);
+  return finish(command, reports, of_mesh);
 }
 
 }  // namespace incise::app
