@@ -1115,7 +1115,7 @@ class MeetingHands : public ::testing::Test {
   // Nothing comes off that should stay, and hardly any volume is lost.
   void cut_and_judge(const std::string& mesh, const std::string& motion,
                      std::initializer_list<std::uint64_t> seeds, double most_growth = 4,
-                     double most_off_h = 1.5, double least_angle_deg = 0) const {
+                     double most_off_h = 1.5, double least_angle_deg = 0, double most_merged_h = 0.7) const {
     const core::MeshData real = mesh_io::load_mesh(folder_ + "/meshes/" + mesh, {}).mesh;
     const Body loaded(real);
     const auto samples = protocol::read_motion(folder_ + "/motions/" + motion + ".csv").samples;
@@ -1133,7 +1133,7 @@ class MeetingHands : public ::testing::Test {
       EXPECT_LE(v.growth, most_growth) << mesh << ", " << motion << ", seed " << seed;
       EXPECT_LE(v.alone_max_h, most_off_h) << mesh << ", " << motion << ", seed " << seed;
       EXPECT_GE(v.min_angle_deg, least_angle_deg) << mesh << ", " << motion << ", seed " << seed;
-      EXPECT_LE(v.merged_max_h, 0.7) << mesh << ", " << motion << ", seed " << seed;
+      EXPECT_LE(v.merged_max_h, most_merged_h) << mesh << ", " << motion << ", seed " << seed;
       EXPECT_LE(std::abs(v.volume_change), 5e-4) << mesh << ", " << motion << ", seed " << seed;
       // Where hands left edges at which the tissue hung together in two fans there were up to 36 of them. One may be so long and thin that
       // parting it would leave a needle.
@@ -1144,6 +1144,15 @@ class MeetingHands : public ::testing::Test {
  private:
   std::string folder_;
 };
+
+// A sweep that ends before an older cut or the boundary goes on to it. What opened there lay up to 0.6 h off what was swept, where it went 0.15 h beyond
+// however far it had gone by then.
+TEST_F(MeetingHands, OpenNothingFartherThanWhatIsOneWhereTheyJoin) {
+  cut_and_judge("wound_1476.node", "touch_tracking_b1", {3207}, 4, 1.5, 0, 0.26);
+  cut_and_judge("armadillo_3717.node", "touch_tracking_b1", {3201}, 4, 1.5, 0, 0.26);
+  cut_and_judge("sofa_liver2.msh", "tum_fr1_xyz", {3309}, 4, 1.5, 0, 0.26);
+  cut_and_judge("seed_3234.node", "touch_tracking_b1", {3307}, 4, 1.5, 0, 0.26);
+}
 
 // A hand that wanders crosses its own cut at all angles. Whatever is between two cuts and no thicker than a film stays with a neighbour, and
 // what is left of a vertex's star at the tip of a splinter is not drawn out of the body.

@@ -226,8 +226,9 @@ bool JoiningStage::skin_is_near(const Vec3& p) const {
 
 // Continues a sweep beyond a wall that is so far ahead. Where it ends beyond that already, what is missing may be too narrow to matter.
 void JoiningStage::extend(const Vec3& a, const Vec3& b, const Vec3& direction, double ahead_m) {
-  const double beyond_m = kJoinBeyond_h * cut_.h, by_m = ahead_m + beyond_m;
-  if (by_m < kLeastJoin * beyond_m) return;
+  const double most_m = kJoinBeyond_h * cut_.h;
+  const double by_m = ahead_m + std::clamp(kOne_h * cut_.h - ahead_m, kLeastBeyond_h * cut_.h, most_m);
+  if (by_m < kLeastJoin * most_m) return;
   const Vec3 by = by_m * direction;
   cut_.path.add_strip(a, b, b + by, a + by, true);
   cut_.workspace.swept.add({{a, b}, {a + by, b + by}, cut_.stroke, cut_.path.travel_m(), false});

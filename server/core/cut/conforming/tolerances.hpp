@@ -63,9 +63,10 @@ inline constexpr double kKeptBehind_local = 8;
 // What is nearer than this to an older cut is one with it. kLiesAtCut_h, kLies_h: a vertex this near to the sweep lies in it, at an
 // older cut and elsewhere.
 inline constexpr double kOne_h = 0.25, kLiesAtCut_h = 0.02, kLies_h = 0.001;
-// A sweep that begins or ends this near before an older cut or the boundary goes on until it is so far beyond. Somewhat more than kOne_h:
-// an older cut may end somewhat before its own rim.
-inline constexpr double kJoinReach_h = 0.35, kJoinBeyond_h = 0.15;
+// A sweep that begins or ends this near before an older cut or the boundary goes on until it is kJoinBeyond_h beyond; less, but kLeastBeyond_h, where it would
+// go farther than kOne_h in all: what opens there lies as far off what was swept. The reach is somewhat more than kOne_h: an older cut may end somewhat before
+// its own rim.
+inline constexpr double kJoinReach_h = 0.35, kJoinBeyond_h = 0.15, kLeastBeyond_h = 0.05;
 // What would be closed or parted beyond the sweep itself is left to another blade that is about to part what is nearer than this.
 inline constexpr double kLeftToOthers_h = 1;
 // The parts of a line that are looked at one by one: how long each is, and how many there are at most.
