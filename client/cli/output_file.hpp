@@ -1,13 +1,11 @@
 #pragma once
 
-#include <unistd.h>
-
-#include <cerrno>
-#include <cstdlib>
 #include <filesystem>
 #include <stdexcept>
 #include <string>
 #include <system_error>
+
+#include "server/base/directory_probe.hpp"
 
 namespace incise::client {
 
@@ -25,15 +23,10 @@ inline void require_can_be_file(const std::string& option, const std::filesystem
   if (!path.has_filename() || fs::is_directory(path, error))
     throw std::runtime_error(name + ": is a directory; accepted is a file's name");
   if (fs::exists(path, error)) return;
-  // Permissions do not say all: /proc, or a file system that can only be read.
-  std::string probe = (parent / "incise-check-XXXXXX").string();
-  const int made = ::mkstemp(probe.data());
-  if (made < 0) {
-    throw std::runtime_error(name + ": files cannot be made in " + parent.string() + " (" +
-                             std::generic_category().message(errno) + "); choose another directory");
+  if (const std::error_code why = why_no_file_can_be_made(parent)) {
+    throw std::runtime_error(name + ": files cannot be made in " + parent.string() + " (" + why.message() +
+                             "); choose another directory");
   }
-  ::close(made);
-  ::unlink(probe.c_str());
 }
 
 }  // namespace incise::client

@@ -175,9 +175,8 @@ class Player {
   // Where its own blade has opened nothing. A jump is told by its limits: the server has said the one, the other is named with its default.
   std::string why_nothing_was_cut(const protocol::PoseReport& report) const {
     if (report.too_fast == 0) {
-      return "the blade missed the mesh, never moved, or no pose held the button that engages it, or all of "
-             "it "
-             "was cut before";
+      return "the blade missed the mesh, never moved, or no pose held the button that engages it, or all "
+             "of it was cut before";
     }
     std::int64_t longest_ns = 0;
     for (std::size_t i = 1; i < poses_.size(); ++i)

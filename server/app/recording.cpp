@@ -5,7 +5,6 @@
 
 #include <algorithm>
 #include <cerrno>
-#include <cstdlib>
 #include <fstream>
 #include <optional>
 #include <vector>
@@ -14,6 +13,7 @@
 #include "server/app/stream_setup.hpp"
 #include "server/app/version.hpp"
 #include "server/base/clock.hpp"
+#include "server/base/directory_probe.hpp"
 #include "server/core/session/session_state.hpp"
 #include "server/loop/checkpoint_file.hpp"
 #include "server/mesh_io/tetgen_files.hpp"
@@ -267,15 +267,9 @@ void check_recording(const Config& config, const std::string& file) {
     refuse(parent.string() + ": " + std::generic_category().message(errno) +
            "; a directory that this user may write is accepted");
   }
-  // Permissions do not say all: /proc/x.capture, or a file system that is full of files.
-  std::string probe = (parent / "incise-check-XXXXXX").string();
-  const int made = mkstemp(probe.data());
-  if (made < 0) {
-    refuse(parent.string() + ": files cannot be made there (" + std::generic_category().message(errno) +
+  if (const std::error_code why = why_no_file_can_be_made(parent))
+    refuse(parent.string() + ": files cannot be made there (" + why.message() +
            "); choose another directory");
-  }
-  close(made);
-  unlink(probe.c_str());
   if (const std::string other = read_under(config, file, path); !other.empty())
     refuse(path.string() + " is " + other + "; name a file of the capture's own");
   if (const std::string foreign = foreign_file(path); !foreign.empty()) refuse(foreign);

@@ -56,8 +56,6 @@ void JoiningStage::begin(const Batch& batch) {
   next_ = next_end_ = next_quad_ = walls_end_ = 0;
   next_end_part_ = 0;
   own_rims_ = 0;
-  low_ = {INFINITY, INFINITY, INFINITY};
-  high_ = -low_;
   for (std::size_t i = 0; i + 1 < batch.lines.size(); ++i) {
     const BladeLine &from = batch.lines[i], &to = batch.lines[i + 1];
     const Vec3 direction = direction_of(from, to);
@@ -75,7 +73,6 @@ void JoiningStage::begin(const Batch& batch) {
       follow_strip(to);
       swept_.push_back({from.heel, from.tip, to.tip});
       swept_.push_back({from.heel, to.tip, to.heel});
-      for (const Vec3& p : {from.heel, from.tip, to.heel, to.tip}) core::extend(p, low_, high_);
     }
     direction_ = direction;
   }
@@ -90,11 +87,14 @@ void JoiningStage::begin(const Batch& batch) {
 void JoiningStage::enclose_swept() {
   if (swept_.empty()) return;
   Vec3 across{};
+  in_reach_ = Box::around({swept_.front().a});
   for (const Triangle& t : swept_) {
+    in_reach_.add(Box::around({t.a, t.b, t.c}));
     const Vec3 n = cross(t.b - t.a, t.c - t.a);
     // A blade that goes back and forth turns it over.
     across += dot(n, across) < 0 ? -n : n;
   }
+  in_reach_ = in_reach_.widened(kJoinReach_h * cut_.h);
   const Triangle& first = swept_.front();
   const Vec3 normal = normalized(across), along = normalized(first.b - first.a);
   around_.axes = {normal, along, normalized(cross(normal, along))};
@@ -296,14 +296,7 @@ void JoiningStage::end_strip(const BladeLine& line) {
 bool JoiningStage::comes_near(const SweepEnd& end) const {
   if (swept_.empty()) return false;
   if (end.stroke == cut_.stroke && cut_.path.travel_m() - end.travel_m < kFar_h * cut_.h) return false;
-  return is_in_reach(end.low, end.high);
-}
-
-// Whether what is swept now may come within reach of something in this box.
-bool JoiningStage::is_in_reach(const Vec3& low, const Vec3& high) const {
-  const double reach = kJoinReach_h * cut_.h;
-  return low.x - reach <= high_.x && high.x + reach >= low_.x && low.y - reach <= high_.y &&
-         high.y + reach >= low_.y && low.z - reach <= high_.z && high.z + reach >= low_.z;
+  return in_reach_.meets({end.low, end.high});
 }
 
 // How far the strip goes from where the sweep ended, at most.
@@ -343,12 +336,11 @@ void JoiningStage::take_up(SweepEnd& end, std::uint32_t part) {
 bool JoiningStage::take_up_rims(WorkBudget& budget) {
   if (swept_.empty()) return true;
   SweptMemory& memory = cut_.workspace.swept;
-  const Box in_reach = Box{low_, high_}.widened(kJoinReach_h * cut_.h);
   for (;; ++next_quad_) {
     cut_.work.charge(budget);
     if (budget.spent()) return false;
     std::size_t looked_at = 0;
-    next_quad_ = memory.next_with_free_rim(next_quad_, in_reach, looked_at);
+    next_quad_ = memory.next_with_free_rim(next_quad_, in_reach_, looked_at);
     cut_.work.add(looked_at, cost::kQuadsAUnit);
     if (next_quad_ == memory.quads().size()) return true;
     const SweptMemory::Quad quad = memory.quads()[next_quad_];  // a copy: what is led on is remembered, too
@@ -358,7 +350,7 @@ bool JoiningStage::take_up_rims(WorkBudget& budget) {
     if (is_own && (after_m < kOwnSweep_h * cut_.h || own_rims_ >= kMostOwnRims)) continue;
     for (auto end : {SweptMemory::kHeel, SweptMemory::kTip}) {
       const auto [a, b] = quad.rim(end);
-      if (!Box::around({a, b}).meets(in_reach)) continue;
+      if (!Box::around({a, b}).meets(in_reach_)) continue;
       for (std::uint64_t free = quad.rims[end].free; free != 0; free &= free - 1) {
         const auto part = static_cast<std::uint32_t>(std::countr_zero(free));
         cut_.work += cost::kLook;
@@ -389,7 +381,7 @@ bool JoiningStage::take_up(const SweptMemory::Quad& quad, SweptMemory::End end, 
 bool JoiningStage::go_on_beyond(const SweptMemory::Quad& quad, SweptMemory::End end, std::uint32_t part) {
   const auto [a, b] = quad.part(end, part);
   const Vec3 amid = lerp(a, b, 0.5);
-  if (!is_in_reach(amid, amid)) return false;
+  if (!in_reach_.has(amid)) return false;
   own_rims_ += quad.stroke == cut_.stroke ? 1 : 0;
   const Vec3 back = back_into(quad, end, kRow_h * cut_.h);
   if (!covers(amid + kBeyondRow_h * cut_.h * beyond(quad, end)) || covers(amid + back)) return false;

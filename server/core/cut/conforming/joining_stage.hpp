@@ -81,7 +81,6 @@ class JoiningStage {
   void keep_turn(const BladeLine& line);
   void enclose_swept();
   bool comes_near(const SweepEnd& end) const;
-  bool is_in_reach(const Vec3& low, const Vec3& high) const;
   static double strip_m(const SweepEnd& end);
   bool comes_near(const SweepEnd& end, std::uint32_t part) const;
   void take_up(SweepEnd& end, std::uint32_t part);
@@ -111,8 +110,8 @@ class JoiningStage {
   std::vector<Part> parts_;
   double ahead_at_end_m_ = 0;    // wall_ahead() at the end of the last part
   std::vector<Triangle> swept_;  // by the batch
-  Vec3 low_, high_;              // an upright box around it
-  Around around_;
+  Box in_reach_;                 // an upright box around all that may be within reach of it
+  Around around_;                // around it
   // Of the last parts, that follow each other.
   std::vector<Walled> walled_;
   std::vector<std::size_t> free_;  // straight ahead of these there is no wall
